@@ -1,0 +1,144 @@
+"""What an effect is: one named piece of physics, sensing or timing that the linear model leaves out.
+
+An effect is one class in one file of this package.  The class says where it may act, which parameters it has
+(unit, bounds, neutral value), at which stage of the simulation it acts, and its law, a plain Python function
+
+    law(x, v, w, p, s, h) -> float
+
+which the stepper compiles once and calls by its address.  ``p`` holds the effect's arguments and ``s`` its
+own states (both indexable), ``h`` the step in s.  What x, v, w and the result mean depends on the stage:
+
+=============  ======================================  =============================  ====================
+stage          x, v, w                                 result                         acts
+=============  ======================================  =============================  ====================
+COMMAND        command, 0, amplifier.limit (counts)    command, mean over h           in order of ``order``
+TORQUE         angle, speed of the part, 0             torque on it, N m              motor, base
+FRICTION       |speed|, 0, |drive torque| (N m)        level >= 0, N m; x = 0: held   motor, base
+GAP            deflection, 0, 0 (rad)                  what exceeds the gap, rad      drive
+SPRING         deflection beyond the gap, speed, 0     torque added, N m              drive, clamp
+ACCEL_INPUT    base speed, 0, beam.length              added acceleration, m/s^2      accelerometer
+ACCEL_FILTER   acceleration now, one step before, 0    filtered, m/s^2                in order of ``order``
+ACCEL_COUNTS   reading with its offset, 0, 0 (counts)  reading, counts                accelerometer
+ENCODER        base angle, 0, 0                        counts added                   encoder
+=============  ======================================  =============================  ====================
+
+The three DELAY stages and CLOCK have no law: their one parameter is read by the stepper's set-up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+if TYPE_CHECKING:
+    from station.rig import Rig
+
+
+class Stage(Enum):
+    """Where in a simulated sample an effect acts."""
+
+    COMMAND = "command"
+    TORQUE = "torque"
+    FRICTION = "friction"
+    GAP = "gap"
+    SPRING = "spring"
+    ACCEL_INPUT = "accel_input"
+    ACCEL_FILTER = "accel_filter"
+    ACCEL_COUNTS = "accel_counts"
+    ENCODER = "encoder"
+    INPUT_DELAY = "input_delay"
+    ENCODER_DELAY = "encoder_delay"
+    ACCEL_DELAY = "accel_delay"
+    CLOCK = "clock"
+
+
+@dataclass(frozen=True)
+class ParameterInfo:
+    """One parameter of an effect: its unit, closed bounds, and the value at which the effect does nothing."""
+
+    unit: str
+    low: float
+    high: float
+    neutral: float | None = None
+    periodic: bool = False
+
+    @property
+    def positive(self) -> bool:
+        """Whether only the size is unknown, so that its logarithm is the natural coordinate."""
+        return self.low >= 0.0
+
+
+def parameter(unit: str, low: float = -math.inf, high: float = math.inf, *, neutral: float | None = None,
+              periodic: bool = False) -> Any:
+    """Declare a parameter as a pydantic field that carries its ParameterInfo."""
+    info = ParameterInfo(unit, low, high, neutral, periodic)
+    return Field(ge=low, le=high, allow_inf_nan=neutral is not None and math.isinf(neutral),
+                 json_schema_extra={"info": info})  # type: ignore[arg-type]
+
+
+class Effect(BaseModel):
+    """Base of all effects; a subclass with a ``name`` joins the catalogue by being imported."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: ClassVar[str] = ""
+    title: ClassVar[str] = ""
+    sites: ClassVar[tuple[str, ...]] = ()
+    stage: ClassVar[Stage]
+    order: ClassVar[float] = 0.0
+    states: ClassVar[int] = 0
+    law: ClassVar[Callable[..., float] | None] = None
+    needs: ClassVar[tuple[str, ...]] = ()
+    """Tables that the rig must have; the table of the place is always needed."""
+    absolute: ClassVar[str | None] = None
+    """The parameter that refers to the absolute angle, if any: it shifts with a run's encoder zero."""
+    picture: ClassVar[str] = "time"
+    """The picture that shows it: what the residual is drawn against in a report."""
+    experiment: ClassVar[dict[str, Any]] = {}
+    """The test that tells it from its rivals best."""
+
+    at: str
+
+    @classmethod
+    def parameters(cls) -> dict[str, ParameterInfo]:
+        """Parameters in the order of their declaration."""
+        return {name: field.json_schema_extra["info"]  # type: ignore[index,call-overload]
+                for name, field in cls.model_fields.items() if name != "at"}
+
+    @model_validator(mode="after")
+    def _known_place(self) -> Effect:
+        if self.at not in self.sites:
+            raise ValueError(f"{self.name} acts at {' or '.join(self.sites)}, not at {self.at!r}")
+        return self
+
+    def values(self) -> dict[str, float]:
+        """The parameters' values, by name."""
+        return {name: getattr(self, name) for name in self.parameters()}
+
+    def arguments(self, rig: Rig) -> tuple[float, ...]:
+        """What the law finds in ``p``; by default the parameters in order."""
+        return tuple(self.values().values())
+
+    @classmethod
+    def guesses(cls, rig: Rig, at: str) -> list[dict[str, float]]:
+        """Sizes from subtle to large, from which a fit may start on this rig."""
+        raise NotImplementedError(f"{cls.__name__}.guesses")
+
+    @classmethod
+    def fits(cls, rig: Rig, at: str) -> bool:
+        """Whether the rig has what the effect acts on."""
+        tables = {"amplifier": "motor", "clock": "motor"}
+        wanted = {tables.get(at, at), *cls.needs}
+        if at == "base" and rig.base is None and rig.drive is None:
+            return rig.beam is not None
+        return all(getattr(rig, table) is not None for table in wanted)
+
+
+def torque_scale(rig: Rig) -> float:
+    """The motor's largest torque, N m."""
+    return abs(rig.motor.gain) * rig.amplifier.limit

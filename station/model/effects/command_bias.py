@@ -1,0 +1,26 @@
+"""A constant added to every command by the amplifier."""
+
+from typing import ClassVar
+
+from station.model.effects.base import Effect, Stage, parameter
+
+
+def command(x, v, w, p, s, h):
+    """c -> c + offset, counts."""
+    return x + p[0]
+
+
+class CommandBias(Effect):
+    """The amplifier's zero is off: the motor is driven at command 0."""
+
+    name, title = "command_bias", "command bias"
+    sites: ClassVar = ("amplifier",)
+    stage, law, order = Stage.COMMAND, command, 6.0
+    picture = "time"
+    experiment: ClassVar = {"kind": "step", "amplitude": 30, "controller": "p"}
+
+    offset: float = parameter("counts", -1000.0, 1000.0, neutral=0.0)
+
+    @classmethod
+    def guesses(cls, rig, at):
+        return [{"offset": share * rig.amplifier.limit} for share in (-0.08, -0.01, 0.01, 0.08)]

@@ -1,0 +1,30 @@
+"""The encoder's disc is not centred."""
+
+import math
+from typing import ClassVar
+
+from station.model.effects.base import Effect, Stage, parameter
+
+
+def counts(x, v, w, p, s, h):
+    """a sin(x + phase), counts, added to the reading."""
+    return p[0] * math.sin(x + p[1])
+
+
+class EncoderEccentricity(Effect):
+    """An error of the reading with one cycle per revolution."""
+
+    name, title = "encoder_eccentricity", "encoder eccentricity"
+    sites: ClassVar = ("encoder",)
+    stage, law = Stage.ENCODER, counts
+    absolute = "phase"
+    picture = "angle"
+    experiment: ClassVar = {"kind": "pulse", "amplitude": 200}
+
+    amplitude: float = parameter("counts", 0.0, neutral=0.0)
+    phase: float = parameter("rad", -math.pi, math.pi, periodic=True)
+
+    @classmethod
+    def guesses(cls, rig, at):
+        return [{"amplitude": size, "phase": phase}
+                for size in (2.0, 10.0) for phase in (0.0, 0.5 * math.pi, math.pi, -0.5 * math.pi)]

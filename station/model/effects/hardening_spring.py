@@ -1,0 +1,28 @@
+"""A spring that stiffens (or, negative, softens) with its deflection."""
+
+from typing import ClassVar
+
+from station.model.effects.base import Effect, Stage, parameter
+
+
+def torque(x, v, w, p, s, h):
+    """T = k3 d^3, N m, added to the linear spring."""
+    return p[0] * x * x * x
+
+
+class HardeningSpring(Effect):
+    """Cubic stiffness of the drive or the clamp."""
+
+    name, title = "hardening_spring", "hardening spring"
+    sites: ClassVar = ("drive", "clamp")
+    stage, law = Stage.SPRING, torque
+    picture = "deflection"
+    experiment: ClassVar = {"kind": "pulse", "amplitude": 200}
+
+    cubic: float = parameter("N m/rad^3", -1e9, 1e9, neutral=0.0)
+
+    @classmethod
+    def guesses(cls, rig, at):
+        stiffness = getattr(rig, at).stiffness
+        reach = 0.5 if at == "drive" else 0.1
+        return [{"cubic": share * stiffness / reach**2} for share in (-0.3, 0.3, 3.0)]

@@ -1,0 +1,288 @@
+"""The rig: constants in SI units, their uncertainty, and the effects that it is known to have; TOML in and out.
+
+Parts may be left out.  No ``drive``: motor and base turn as one.  No ``clamp``: the beam's root is fixed to the
+base.  No ``beam``: no clamp, tip or accelerometer.  Without drive, base and beam it is a rigid axis whose motor
+carries the encoder (for a linear axis read m for rad, kg for kg m^2, N for N m).
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from functools import cached_property
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_serializer, field_validator, model_validator
+
+from station.errors import UsageError
+from station.model.effects import Effect, effect_class
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+MAX_FILE_BYTES = 1 << 20
+EXACT = frozenset({"amplifier.limit", "encoder.counts_per_revolution", "beam.elements"})
+"""Numbers of a rig that carry no uncertainty."""
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class Amplifier(_Table):
+    """limit: largest command, counts."""
+
+    limit: Positive
+
+
+class Motor(_Table):
+    """inertia kg m^2, damping N m s/rad, gain N m per count (a negative gain keeps its sign)."""
+
+    inertia: Positive
+    damping: NotNegative
+    gain: Annotated[float, Field(allow_inf_nan=False)]
+
+    @field_validator("gain")
+    @classmethod
+    def _drives(cls, gain: float) -> float:
+        if gain == 0.0:
+            raise ValueError("a motor without gain cannot be driven")
+        return gain
+
+
+class Joint(_Table):
+    """stiffness N m/rad and damping N m s/rad of a torsional spring and damper (TSD)."""
+
+    stiffness: Positive
+    damping: NotNegative
+
+
+class Base(_Table):
+    """inertia kg m^2."""
+
+    inertia: Positive
+
+
+class Beam(_Table):
+    """mass_per_length kg/m, length m, flexural_rigidity N m^2, damping s (stiffness-proportional), elements."""
+
+    mass_per_length: Positive
+    length: Positive
+    flexural_rigidity: Positive
+    damping: NotNegative = 0.0
+    elements: Annotated[int, Field(ge=1, le=200)] = 4
+
+
+class Tip(_Table):
+    """The sensor, a point at the beam's end: mass kg, inertia kg m^2."""
+
+    mass: NotNegative
+    inertia: NotNegative = 0.0
+
+
+class Encoder(_Table):
+    """counts_per_revolution."""
+
+    counts_per_revolution: Positive
+
+
+class Accelerometer(_Table):
+    """gain: counts per m/s^2."""
+
+    gain: Annotated[float, Field(allow_inf_nan=False)]
+
+    @field_validator("gain")
+    @classmethod
+    def _reads(cls, gain: float) -> float:
+        if gain == 0.0:
+            raise ValueError("an accelerometer without gain reads nothing; leave the table out")
+        return gain
+
+
+class Rig(_Table):
+    """The machine under test; see the module for the parts that may be left out."""
+
+    name: Annotated[str, Field(min_length=1, max_length=100)]
+    sample_rate: Annotated[float, Field(gt=0, le=1e5, allow_inf_nan=False)]
+    amplifier: Amplifier
+    motor: Motor
+    drive: Joint | None = None
+    base: Base | None = None
+    clamp: Joint | None = None
+    beam: Beam | None = None
+    tip: Tip | None = None
+    encoder: Encoder
+    accelerometer: Accelerometer | None = None
+    uncertainty: dict[str, NotNegative] = Field(default_factory=dict)
+    effects: Annotated[tuple[Effect, ...], Field(max_length=32)] = ()
+
+    @field_validator("effects", mode="before")
+    @classmethod
+    def _build_effects(cls, rows: Any) -> Any:
+        if not isinstance(rows, list | tuple):
+            raise ValueError("must be a list of tables ([[effects]])")
+        built = []
+        for index, row in enumerate(rows):
+            if isinstance(row, Effect):
+                built.append(row)
+                continue
+            if not isinstance(row, dict) or "effect" not in row:
+                raise ValueError(f"[{index}]: the key 'effect' is missing")
+            try:
+                effect = effect_class(row["effect"])
+                values = {key: value for key, value in row.items() if key != "effect"}
+                if "at" not in values and len(effect.sites) == 1:
+                    values["at"] = effect.sites[0]
+                built.append(effect.model_validate(values))
+            except ValidationError as error:
+                raise ValueError(f"[{index}].{_first(error)}") from None
+            except UsageError as error:
+                raise ValueError(f"[{index}]: {error}") from None
+        return tuple(built)
+
+    @field_serializer("effects")
+    def _dump_effects(self, effects: tuple[Effect, ...]) -> list[dict[str, Any]]:
+        return [{"effect": e.name, "at": e.at, **e.values()} for e in effects]
+
+    @model_validator(mode="after")
+    def _whole(self) -> Rig:
+        if self.beam is None:
+            for table in ("clamp", "tip", "accelerometer"):
+                if getattr(self, table) is not None:
+                    raise ValueError(f"{table}: a rig without a beam has none")
+        if self.drive is not None and self.base is None:
+            raise ValueError("drive: joins motor and base, but there is no base")
+        places = set()
+        for effect in self.effects:
+            if not effect.fits(self, effect.at):
+                raise ValueError(f"effects: {effect.name} at {effect.at}: this rig has no {effect.at}")
+            if (effect.name, effect.at) in places:
+                raise ValueError(f"effects: {effect.name} stands twice at {effect.at}")
+            places.add((effect.name, effect.at))
+        known = self._uncertain_names()
+        for key in self.uncertainty:
+            if key not in known:
+                raise ValueError(f"uncertainty.{key}: names no constant, table or effect parameter of this rig")
+        return self
+
+    def _uncertain_names(self) -> set[str]:
+        tables = {key.split(".")[0] for key in self.constants()}
+        parameters = {f"{e.name}.{p}" for e in self.effects for p in e.parameters()}
+        return {"default", *self.constants(), *tables, *parameters}
+
+    @property
+    def period(self) -> float:
+        """Nominal sample period, s."""
+        return 1.0 / self.sample_rate
+
+    @cached_property
+    def angle_per_count(self) -> float:
+        """Radians per encoder count."""
+        return 2.0 * math.pi / self.encoder.counts_per_revolution
+
+    def constants(self) -> dict[str, float]:
+        """The constants that carry uncertainty, as "table.key"; zeros (a part without damping) are left out."""
+        found = {}
+        for table in ("motor", "drive", "base", "clamp", "beam", "tip", "accelerometer"):
+            part = getattr(self, table)
+            if part is None:
+                continue
+            for key in type(part).model_fields:
+                path, value = f"{table}.{key}", getattr(part, key)
+                if path not in EXACT and value != 0.0:
+                    found[path] = float(value)
+        return found
+
+    def with_constants(self, values: dict[str, float]) -> Rig:
+        """A copy with some constants replaced ("table.key": value)."""
+        tables: dict[str, dict[str, float]] = {}
+        for path, value in values.items():
+            table, key = path.split(".")
+            tables.setdefault(table, {})[key] = float(value)
+        parts = {}
+        for table, changed in tables.items():
+            part = getattr(self, table)
+            parts[table] = part.model_copy(update=changed)
+        return self._copy(parts)
+
+    def with_effects(self, effects: tuple[Effect, ...] | list[Effect]) -> Rig:
+        """A copy with other effects."""
+        return self._copy({"effects": tuple(effects)})
+
+    def _copy(self, update: dict[str, Any]) -> Rig:
+        copy = self.model_copy(update=update)
+        copy.__dict__.pop("angle_per_count", None)
+        return copy
+
+    def sigma(self, path: str) -> float:
+        """One standard deviation of the natural logarithm of one constant, its table's common factor aside."""
+        return self.uncertainty.get(path, self.uncertainty.get("default", 0.02))
+
+    def log_covariance(self, paths: list[str]) -> np.ndarray:
+        """Prior covariance (n x n) of the logarithms of the named constants.
+
+        Each has its own sigma; a table with an uncertainty of its own adds one common factor to its inertia,
+        damping and gain (of those that the table has).
+        """
+        covariance = np.diag([self.sigma(path) ** 2 for path in paths])
+        for table in {path.split(".")[0] for path in paths}:
+            common = self.uncertainty.get(table, 0.0)
+            shared = [i for i, p in enumerate(paths)
+                      if p.split(".")[0] == table and p.split(".")[1] in ("inertia", "damping", "gain")]
+            covariance[np.ix_(shared, shared)] += common**2
+        return covariance
+
+    @classmethod
+    def from_toml(cls, text: str, source: str = "rig") -> Rig:
+        """Read a rig from TOML; UsageError names the file, the key's path and the reason."""
+        try:
+            return cls.model_validate(tomllib.loads(text), strict=False)
+        except tomllib.TOMLDecodeError as error:
+            raise UsageError(f"{source}: not TOML: {error}") from None
+        except ValidationError as error:
+            raise UsageError(f"{source}: {_first(error)}") from None
+
+    def to_toml(self) -> str:
+        """The rig file's text; reading it gives the same rig."""
+        return tomli_w.dumps(self.model_dump(exclude_none=True, exclude_defaults=False))
+
+
+def _first(error: ValidationError) -> str:
+    problem = error.errors()[0]
+    path = ".".join(str(part) for part in problem["loc"])
+    reason = {"extra_forbidden": "unknown key", "missing": "missing"}.get(problem["type"])
+    if reason is None:
+        reason = str(problem["msg"]).removeprefix("Value error, ")
+        reason = reason[0].lower() + reason[1:]
+        if problem["type"] in ("greater_than", "greater_than_equal", "less_than_equal", "finite_number"):
+            reason += f", not {problem['input']!r}"
+    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
+    return f"{path}: {reason}{more}" if path else f"{reason}{more}"
+
+
+def builtin_rigs() -> dict[str, str]:
+    """Names and TOML texts of the rigs that come with Station."""
+    folder = resources.files("station") / "rigs"
+    return {Path(item.name).stem: item.read_text(encoding="utf-8")
+            for item in sorted(folder.iterdir(), key=lambda item: item.name) if item.name.endswith(".toml")}
+
+
+def load_rig(name_or_path: str | Path) -> Rig:
+    """A rig by built-in name or from a TOML file; UsageError where it is neither."""
+    builtin = builtin_rigs()
+    if str(name_or_path) in builtin:
+        return Rig.from_toml(builtin[str(name_or_path)], source=str(name_or_path))
+    path = Path(name_or_path)
+    try:
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise UsageError(f"{path}: larger than 1 MiB, which no rig file is")
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise UsageError(f"{path}: not a text file") from None
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror or error}; built-in rigs are {', '.join(builtin)}") from None
+    return Rig.from_toml(text, source=str(path))
