@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from station.errors import WorkError
+from station.runs.columns import COLUMNS, as_columns
+
+MAX_METADATA_BYTES = 1 << 20
 
 
 class RunMetadata(BaseModel):
-    """What is known about a run (DESIGN: metadata); unknown keys are kept as they are."""
+    """What is known about a run; unknown keys are kept as they are.
+
+    ``rounding`` is False where the logged command was not rounded; ``accel_zero`` is the accelerometer's mean at
+    rest (counts) that the compensator took off; ``command_row`` and ``start`` are explained in the contract.
+    """
 
     model_config = ConfigDict(extra="allow")
 
@@ -26,12 +36,72 @@ class RunMetadata(BaseModel):
     start: Literal["released", "equilibrium"] = "released"
     command_row: int = Field(default=0, ge=-8, le=0)
     rounding: bool = True
-    accel_zero: float = 0.0
+    accel_zero: float = Field(default=0.0, allow_inf_nan=False)
+
+    def entries(self) -> dict[str, Any]:
+        """The keys that say something, ready for JSON: those declared and not None, then the kept unknown ones."""
+        return {key: value for key, value in self.model_dump().items()
+                if value is not None or key not in type(self).model_fields}
+
+    def to_json(self) -> str:
+        """One line of JSON; WorkError when it is too large or holds what JSON cannot."""
+        try:
+            text = json.dumps(self.entries(), allow_nan=False, default=_plain)
+        except (TypeError, ValueError) as error:
+            raise WorkError(f"metadata: {error}") from None
+        if len(text) > MAX_METADATA_BYTES:
+            raise WorkError(f"metadata: {len(text)} bytes, at most {MAX_METADATA_BYTES}")
+        return text
+
+    @classmethod
+    def from_entries(cls, label: str, entries: Mapping[str, Any]) -> RunMetadata:
+        """Build from a file's keys; ``label`` names the file in the one line of a WorkError."""
+        try:
+            return cls(**entries)
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            key = ".".join(str(part) for part in first["loc"])
+            raise WorkError(f"{label}: metadata {key}: {first['msg']}") from None
+
+    @classmethod
+    def from_json(cls, label: str, text: str) -> RunMetadata:
+        """Parse what to_json wrote; WorkError with one line otherwise."""
+        entries = parse_json(f"{label}: metadata", text)
+        if not isinstance(entries, dict):
+            raise WorkError(f"{label}: metadata: an object is wanted")
+        return cls.from_entries(label, entries)
 
 
-@dataclass(frozen=True)
+def _plain(value: Any) -> Any:
+    """numpy's numbers and arrays as JSON's."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, Path):
+        return str(value)
+    raise TypeError(f"{type(value).__name__} cannot be written as JSON")
+
+
+def _not_a_number(text: str) -> Any:
+    raise ValueError(f"{text} is not JSON")
+
+
+def parse_json(label: str, text: str) -> Any:
+    """JSON without NaN and Infinity and of bounded size; WorkError in one line otherwise."""
+    if len(text) > MAX_METADATA_BYTES:
+        raise WorkError(f"{label}: {len(text)} bytes, at most {MAX_METADATA_BYTES}")
+    try:
+        return json.loads(text, parse_constant=_not_a_number)
+    except (ValueError, RecursionError) as error:
+        raise WorkError(f"{label}: not JSON ({error})") from None
+
+
+@dataclass(frozen=True, eq=False)
 class Run:
-    """Columns are one-dimensional float arrays of equal length; counts where the name says nothing else."""
+    """Columns are one-dimensional float arrays of equal length (n and status: integers); units in ``columns.py``.
+
+    ``extra`` holds columns of a log beyond those of every run, by name.  Raises WorkError, one line that names
+    run, column and row (counted from 0), where lengths differ, a number is not finite or time is irregular.
+    """
 
     name: str
     t: np.ndarray
@@ -47,26 +117,79 @@ class Run:
     command_sent: np.ndarray | None = None
     latency: np.ndarray | None = None
     slack: np.ndarray | None = None
+    extra: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        rows = len(self.t)
-        if rows < 2:
-            raise WorkError(f"{self.name}: {rows} rows are too few for a run")
-        for column in ("reference", "command", "encoder", "accel"):
-            values = getattr(self, column)
-            if values is None:
-                continue
-            if len(values) != rows:
-                raise WorkError(f"{self.name}: column {column} has {len(values)} rows, t has {rows}")
-            bad = np.flatnonzero(~np.isfinite(values))
-            if bad.size:
-                raise WorkError(f"{self.name}: column {column}, row {bad[0]}: not a finite number")
-        steps = np.diff(self.t)
-        if not np.all(np.isfinite(self.t)) or np.any(np.abs(steps - steps.mean()) > 0.02 * abs(steps.mean())):
-            bad = int(np.argmax(np.abs(steps - np.median(steps))))
-            raise WorkError(f"{self.name}: column t, row {bad + 1}: irregular time; t must be index / sample_rate")
+        arrays, fault = as_columns(self.columns())
+        if fault:
+            raise WorkError(f"{self.name}: {fault}")
+        for column in COLUMNS:
+            object.__setattr__(self, column.name, arrays.pop(column.name, None))
+        object.__setattr__(self, "extra", arrays)
+
+    @classmethod
+    def from_columns(cls, label: str, name: str, columns: Mapping[str, Any], metadata: RunMetadata) -> Run:
+        """Build from a file's columns; ``label`` (the path) stands before what a WorkError says."""
+        arrays, fault = as_columns(columns)
+        if fault:
+            raise WorkError(f"{label}: {fault}")
+        known = {column.name: arrays.pop(column.name) for column in COLUMNS if column.name in arrays}
+        return cls(name=name, metadata=metadata, extra=arrays, **known)
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """The columns that this run has, in the order of ``COLUMNS``, then the extra ones."""
+        known = {column.name: getattr(self, column.name) for column in COLUMNS}
+        return {name: values for name, values in known.items() if values is not None} | dict(self.extra)
+
+    def __len__(self) -> int:
+        return len(self.t)
 
     @property
     def sample_rate(self) -> float:
-        """Nominal rate, Hz, from the time column."""
-        return float((len(self.t) - 1) / (self.t[-1] - self.t[0]))
+        """Nominal rate, Hz, from the time column; nine digits, so that 1/0.002 is 500."""
+        rows = len(self.t) - 1 if self.n is None else int(self.n[-1] - self.n[0])
+        return float(f"{rows / (self.t[-1] - self.t[0]):.9g}")
+
+    @property
+    def command_row(self) -> int:
+        """0, or -k where row i's command was computed from the encoder and accelerometer of row i - k."""
+        return self.metadata.command_row
+
+    @property
+    def start(self) -> str:
+        """How the run begins: ``released`` or ``equilibrium``."""
+        return self.metadata.start
+
+    @property
+    def lost_samples(self) -> int:
+        """Ticks between first and last row that the log does not have."""
+        return 0 if self.n is None else int(self.n[-1] - self.n[0]) + 1 - len(self)
+
+    def require_unbroken(self) -> None:
+        """Raise WorkError where a tick is missing: row i must be tick i for what follows."""
+        if self.lost_samples:
+            row = int(np.argmax(np.diff(self.n) > 1)) + 1
+            raise WorkError(f"{self.name}: {self.lost_samples} samples lost, the first before row {row}; "
+                            f"use the rows before it (Run.slice(0, {row}))")
+
+    def slice(self, start: int, stop: int | None = None) -> Run:
+        """The rows from start up to stop, time kept as it was; the metadata stays."""
+        rows = slice(start, stop)
+        known = {column.name: getattr(self, column.name) for column in COLUMNS}
+        cut = {name: values[rows] for name, values in known.items() if values is not None}
+        return replace(self, **cut, extra={name: values[rows] for name, values in self.extra.items()})
+
+    def rest_rows(self) -> int:
+        """How many of the first rows pass before reference or encoder moves."""
+        moved = (self.reference != self.reference[0]) | (self.encoder != self.encoder[0])
+        return int(np.argmax(moved)) if moved.any() else len(self)
+
+    def noise_sigma(self, channel: str = "accel", least_rows: int = 10) -> float | None:
+        """Standard deviation (counts) of a channel over the rest before the test; None where that is too short.
+
+        Rounding to whole counts is part of it: a quiet channel may show 0.
+        """
+        values, rows = self.columns().get(channel), self.rest_rows()
+        if values is None or rows < least_rows:
+            return None
+        return float(np.std(values[:rows], ddof=1))

@@ -1,0 +1,153 @@
+"""What a diagnosis says: the file's form (schema station-diagnosis/1) and what a report draws beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from station.model.simulate import Simulation
+from station.rig import Rig
+from station.runs.run import Run
+
+Verdict = Literal["explained", "partly_explained", "unexplained", "nothing_missing", "ambiguous", "not_enough_data"]
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class Wrong(_Table):
+    """One thing that the nominal simulation gets wrong."""
+
+    run: str
+    channel: Literal["encoder", "accel"]
+    measure: str
+    simulated: float | None
+    measured: float | None
+    where: str | None = None
+
+
+class Estimate(_Table):
+    """A fitted value with its 95 % interval and how well the runs determine it."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+    state: Literal["determined", "at_bound", "traded_off", "not_excited"] = "determined"
+
+
+class Rival(_Table):
+    """Another cause that could stand in a cause's place."""
+
+    effect: str
+    at: str
+    probability: float
+
+
+class Cause(_Table):
+    """A named cause: its own probability of being present, its parameters, and its rivals."""
+
+    effect: str
+    at: str
+    probability: float
+    parameters: dict[str, Estimate]
+    rivals: list[Rival] = Field(default_factory=list)
+
+
+class ChannelGain(_Table):
+    """nrmse over the held-out runs, before and after."""
+
+    nrmse_before: float
+    nrmse_after: float
+
+
+class Gain(_Table):
+    """What the extended rig buys on runs that no fit has seen."""
+
+    held_out: list[str]
+    encoder: ChannelGain | None = None
+    accel: ChannelGain | None = None
+    explained_fraction: float | None = None
+
+
+class NextExperiment(_Table):
+    """The test that would separate the leading rivals most, or None and why none would."""
+
+    test: dict[str, Any] | None
+    why: str
+
+
+class Diagnosis(_Table):
+    """The diagnosis file."""
+
+    schema_: str = Field(default="station-diagnosis/1", alias="schema")
+    verdict: Verdict
+    wrong: list[Wrong] = Field(default_factory=list)
+    causes: list[Cause] = Field(default_factory=list)
+    gain: Gain
+    next_experiment: NextExperiment | None = None
+
+    model_config = ConfigDict(extra="forbid", populate_by_name=True)
+
+    def to_json(self) -> str:
+        """The file's text."""
+        return self.model_dump_json(by_alias=True, indent=1)
+
+
+@dataclass(frozen=True)
+class RunComparison:
+    """One run beside three simulations; ``after`` never saw the run where ``held_out``."""
+
+    run: Run
+    before: Simulation
+    refit: Simulation
+    after: Simulation | None
+    held_out: bool = True
+
+
+@dataclass(frozen=True)
+class RankedCause:
+    """One candidate and why it stands where it does."""
+
+    effect: str
+    at: str
+    probability: float
+    delta_chi2: float
+    held_out_gain: float | None
+    parameters: dict[str, Estimate]
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A picture specific to a cause: points, and the law drawn through them."""
+
+    title: str
+    kind: str
+    xlabel: str
+    ylabel: str
+    x: np.ndarray
+    y: np.ndarray
+    law_x: np.ndarray | None = None
+    law_y: np.ndarray | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class DiagnosisResult:
+    """A diagnosis with all that a report needs."""
+
+    diagnosis: Diagnosis
+    rig: Rig
+    refit_rig: Rig
+    extended_rig: Rig
+    comparisons: list[RunComparison]
+    ranking: list[RankedCause] = field(default_factory=list)
+    evidence: list[Evidence] = field(default_factory=list)
+    constants: dict[str, Estimate] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    seconds: float = 0.0

@@ -1,0 +1,85 @@
+"""The rig's equations of motion: M q'' + C q' + K q = F u.
+
+q = [motor, base, beam nodes]; rotations in rad, beam deflections in m in the inertial frame (small rotations), the
+beam root's translation fixed.  A joint of stiffness k and damping c between the rotations a and b adds k and c times
+[[1, -1], [-1, 1]] to K and C.  Where a drive or a clamp is missing its two rotations are one coordinate, so that
+inertias add.  The beam's damping is proportional to its stiffness: C += damping K_beam.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from station.model.beam import beam_matrices
+from station.rig import Rig
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """Matrices (n x n) and where things are; indices into q."""
+
+    mass: np.ndarray
+    damping: np.ndarray
+    stiffness: np.ndarray
+    rigid: np.ndarray
+    """q of a unit rotation of the whole rig (n): the mode that no spring opposes."""
+    motor: int
+    base: int
+    root: int | None
+    tip: int | None
+    """Index of the tip's translation."""
+    nodes: np.ndarray
+    """Indices of the nodes' translations from the second node to the tip (elements)."""
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates."""
+        return self.mass.shape[0]
+
+    def unit(self, index: int) -> np.ndarray:
+        """The vector (n) that picks one coordinate: a torque on it, or its rotation."""
+        vector = np.zeros(self.size)
+        vector[index] = 1.0
+        return vector
+
+
+def assemble(rig: Rig) -> Assembly:
+    """Assemble the rig's mass, damping and stiffness matrices, SI units, rotations in rad."""
+    motor = 0
+    base = motor if rig.drive is None else 1
+    beam = rig.beam
+    if beam is None:
+        size, root = base + 1, None
+    else:
+        root = base if rig.clamp is None else base + 1
+        size = root + 1 + 2 * beam.elements
+    mass, damping, stiffness = (np.zeros((size, size)) for _ in range(3))
+    mass[motor, motor] += rig.motor.inertia
+    damping[motor, motor] += rig.motor.damping
+    if rig.base is not None:
+        mass[base, base] += rig.base.inertia
+    for joint, one, other in ((rig.drive, motor, base), (rig.clamp, base, root)):
+        if joint is not None:
+            pair = np.ix_([one, other], [one, other])
+            stiffness[pair] += joint.stiffness * np.array([[1.0, -1.0], [-1.0, 1.0]])
+            damping[pair] += joint.damping * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    rigid = np.zeros(size)
+    rigid[: base + 1] = 1.0
+    if beam is None:
+        return Assembly(mass, damping, stiffness, rigid, motor, base, None, None, np.zeros(0, dtype=int))
+    beam_mass, beam_stiffness = beam_matrices(beam.mass_per_length, beam.flexural_rigidity, beam.length, beam.elements)
+    at = slice(root, size)
+    mass[at, at] += beam_mass[1:, 1:]
+    stiffness[at, at] += beam_stiffness[1:, 1:]
+    damping[at, at] += beam.damping * beam_stiffness[1:, 1:]
+    nodes = root + 1 + 2 * np.arange(beam.elements)
+    tip = int(nodes[-1])
+    if rig.tip is not None:
+        mass[tip, tip] += rig.tip.mass
+        mass[tip + 1, tip + 1] += rig.tip.inertia
+    rigid[root] = 1.0
+    rigid[nodes] = beam.length / beam.elements * np.arange(1, beam.elements + 1)
+    rigid[nodes + 1] = 1.0
+    return Assembly(mass, damping, stiffness, rigid, motor, base, root, tip, nodes)

@@ -1,0 +1,59 @@
+"""The linear model in state space, continuous and exactly sampled.
+
+x = [q, q'], x' = A x + B u with A = [[0, I], [-M^-1 K, -M^-1 C]], B = [0, M^-1 F], F the motor's gain at the motor's
+rotation (N m per count).  Outputs in counts: the encoder N/(2 pi) theta_base, and the accelerometer's gain times the
+tip's acceleration, a row of q'' = -M^-1 K q - M^-1 C q' + M^-1 F u.
+"""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import scipy.linalg
+
+from station.model.assembly import Assembly, assemble
+from station.rig import Rig
+
+
+def state_matrix(assembly: Assembly) -> np.ndarray:
+    """A (2n x 2n)."""
+    n = assembly.size
+    factor = scipy.linalg.cho_factor(assembly.mass)
+    a = np.zeros((2 * n, 2 * n))
+    a[:n, n:] = np.eye(n)
+    a[n:, :n] = -scipy.linalg.cho_solve(factor, assembly.stiffness)
+    a[n:, n:] = -scipy.linalg.cho_solve(factor, assembly.damping)
+    return a
+
+
+def torque_input(assembly: Assembly, torque: np.ndarray) -> np.ndarray:
+    """B (2n) of a generalised torque (n) of one N m."""
+    return np.concatenate([np.zeros(assembly.size), np.linalg.solve(assembly.mass, torque)])
+
+
+def state_space(rig: Rig) -> control.StateSpace:
+    """Continuous model from command (counts) to encoder and accelerometer (counts); effects are left out."""
+    parts = assemble(rig)
+    n = parts.size
+    a = state_matrix(parts)
+    b = rig.motor.gain * torque_input(parts, parts.unit(parts.motor))
+    c, d, outputs = [np.zeros(2 * n)], [0.0], ["encoder"]
+    c[0][parts.base] = 1.0 / rig.angle_per_count
+    if rig.accelerometer is not None and parts.tip is not None:
+        c.append(rig.accelerometer.gain * a[n + parts.tip])
+        d.append(rig.accelerometer.gain * b[n + parts.tip])
+        outputs.append("accel")
+    return control.ss(a, b[:, None], np.array(c), np.array(d)[:, None], inputs=["command"], outputs=outputs,
+                      name=rig.name)
+
+
+def sampled(rig: Rig) -> control.StateSpace:
+    """The same under a zero-order hold at the rig's sample rate, exact by the matrix exponential."""
+    return control.sample_system(state_space(rig), rig.period, method="zoh")
+
+
+def natural_frequencies(rig: Rig) -> np.ndarray:
+    """Undamped natural frequencies, Hz, ascending, the rigid mode's 0 included."""
+    parts = assemble(rig)
+    squared = scipy.linalg.eigh(parts.stiffness, parts.mass, eigvals_only=True)
+    return np.sqrt(np.maximum(squared, 0.0)) / (2.0 * np.pi)

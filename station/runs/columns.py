@@ -1,0 +1,121 @@
+"""The columns of a run, defined once: every file form and every check derives from this table."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+MAX_ROWS = 10_000_000
+MAX_EXTRA_COLUMNS = 64
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column: its unit, whether it holds integers, whether a run must have it, whether NaN may stand in it."""
+
+    name: str
+    unit: str
+    meaning: str
+    integer: bool = False
+    required: bool = False
+    gaps: bool = False
+
+
+COLUMNS = (
+    Column("t", "s", "index / sample_rate", required=True),
+    Column("reference", "counts", "what the arm is asked to do", required=True),
+    Column("command", "counts", "drive in force from this tick on", required=True),
+    Column("encoder", "counts", "base angle", required=True),
+    Column("accel", "counts", "tip acceleration"),
+    Column("n", "", "the device's tick index", integer=True),
+    Column("device_time", "s", "device ticks over nominal rate"),
+    Column("host_time", "s", "host's monotonic clock on receipt"),
+    Column("status", "bits", "status bits of the protocol", integer=True),
+    Column("command_sent", "counts", "the host's answer to this sample", gaps=True),
+    Column("latency", "s", "receipt to command sent", gaps=True),
+    Column("slack", "s", "what was left of the period", gaps=True),
+)
+BY_NAME = {column.name: column for column in COLUMNS}
+REQUIRED = tuple(column.name for column in COLUMNS if column.required)
+# The order of a row in the live log, and the field numbers 1, 2, ... of its protobuf message: never reordered.
+LOG_COLUMNS = ("n", "t", "reference", "command", "encoder", "accel", "device_time", "host_time", "status",
+               "command_sent", "latency", "slack")
+
+_EXTRA_NAME = re.compile(r"[a-z][a-z0-9_]{0,30}\Z")
+
+
+def name_fault(names: Iterable[str]) -> str | None:
+    """Say what is wrong with a file's column names, or None."""
+    names = list(names)
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        return f"column {repeated[0]!r} stands twice"
+    missing = [name for name in REQUIRED if name not in names]
+    if missing:
+        return f"column {missing[0]} is missing; a run needs {', '.join(REQUIRED)}"
+    extra = [name for name in names if name not in BY_NAME]
+    if len(extra) > MAX_EXTRA_COLUMNS:
+        return f"{len(extra)} columns beyond those of a run, at most {MAX_EXTRA_COLUMNS}"
+    for name in extra:
+        if not _EXTRA_NAME.match(name) or name == "metadata":
+            return f"column name {name[:40]!r}: a-z, 0-9 and _ alone, at most 31 letters, beginning with a-z"
+    return None
+
+
+def as_columns(columns: Mapping[str, object]) -> tuple[dict[str, np.ndarray], str | None]:
+    """Turn columns into float64 (integer columns: int64) arrays; the second value says what is wrong, or None."""
+    fault = name_fault(columns)
+    if fault:
+        return {}, fault
+    arrays: dict[str, np.ndarray] = {}
+    for name, values in columns.items():
+        try:
+            array = np.asarray(values)
+            if BY_NAME.get(name, COLUMNS[0]).integer and array.dtype.kind in "iu":
+                array = array.astype(np.int64)
+            else:
+                array = array.astype(np.float64)
+        except (TypeError, ValueError, OverflowError):
+            return {}, f"column {name}: not numbers"
+        if array.ndim != 1:
+            return {}, f"column {name}: one dimension is wanted, not {array.ndim}"
+        arrays[name] = array
+    rows = len(arrays["t"])
+    if not 2 <= rows <= MAX_ROWS:
+        return {}, f"{rows} rows; a run has 2 to {MAX_ROWS}"
+    for name, array in arrays.items():
+        if len(array) != rows:
+            return {}, f"column {name} has {len(array)} rows, t has {rows}"
+        column = BY_NAME.get(name)
+        bad = np.isinf(array) if column is not None and column.gaps else ~np.isfinite(array)
+        if bad.any():
+            row = int(np.argmax(bad))
+            return {}, f"column {name}, row {row}: {array[row]} where a finite number is wanted"
+        if column is not None and column.integer and array.dtype.kind == "f":
+            bad = (array != np.floor(array)) | (np.abs(array) > 2.0**53)
+            if bad.any():
+                row = int(np.argmax(bad))
+                return {}, f"column {name}, row {row}: {array[row]} where a whole number is wanted"
+            arrays[name] = array.astype(np.int64)
+    return arrays, time_fault(arrays["t"], arrays.get("n"))
+
+
+def time_fault(t: np.ndarray, n: np.ndarray | None) -> str | None:
+    """Say where t is not index / sample_rate, or None.  The index is n where there is one (ticks may be lost)."""
+    index = np.arange(len(t)) if n is None else n
+    steps = np.diff(index)
+    if np.any(steps <= 0):
+        return f"column n, row {int(np.argmax(steps <= 0)) + 1}: the index does not rise"
+    index = index - index[0]
+    period = (t[-1] - t[0]) / index[-1]
+    if period <= 0.0:
+        return "column t: time does not rise"
+    if np.any(np.abs(t - t[0] - index * period) > 0.02 * period):
+        pace = np.diff(t) / steps
+        row = int(np.argmax(np.abs(pace - np.median(pace)))) + 1
+        return f"column t, row {row}: irregular time ({t[row]:.9g} s after {t[row - 1]:.9g} s); " \
+               "t must be index / sample_rate"
+    return None
