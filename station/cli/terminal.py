@@ -1,0 +1,100 @@
+"""What the commands print: plain where no terminal looks on, and never a control character from a file."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
+
+def printable(text: object) -> str:
+    """``text`` with every character that a terminal might obey written as an escape."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in str(text))
+
+
+def one_line(text: object, limit: int = 600) -> str:
+    """A message as one printable line of bearable length."""
+    line = printable(" ".join(part.strip() for part in str(text).splitlines() if part.strip()))
+    return line if len(line) <= limit else line[: limit - 4] + " ..."
+
+
+def console() -> Console:
+    """Where tables and sentences go: standard output, wide enough for a table when piped."""
+    from rich.console import Console
+
+    return Console(highlight=False, soft_wrap=not sys.stdout.isatty())
+
+
+def say(text: object = "") -> None:
+    """Print a sentence; control characters escaped, no markup."""
+    print("\n".join(printable(line) for line in str(text).split("\n")), flush=True)
+
+
+def note(text: object) -> None:
+    """Say on standard error what is going on, so that standard output stays the result."""
+    print(one_line(text), file=sys.stderr, flush=True)
+
+
+def table(title: str, *columns: str) -> Table:
+    """A table whose first column holds names and whose others hold numbers."""
+    from rich import box
+    from rich.table import Table
+    from rich.text import Text
+
+    made = Table(title=Text(title) if title else None, box=box.SIMPLE, title_justify="left", pad_edge=False)
+    for index, column in enumerate(columns):
+        made.add_column(Text(column), justify="left" if index == 0 else "right", overflow="fold")
+    return made
+
+
+def row(made: Table, *cells: object) -> None:
+    """Add a row; cells are shown as they are, without markup."""
+    from rich.text import Text
+
+    made.add_row(*(Text(printable(cell)) for cell in cells))
+
+
+def number(value: float | None, digits: int = 3, none: str = "-") -> str:
+    """A number with so many significant digits."""
+    return none if value is None or not math.isfinite(value) else f"{value:.{digits}g}"
+
+
+def write_json(target: str | Path, content: Any) -> None:
+    """Write JSON to a file, or to standard output for ``-``."""
+    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+    if str(target) == "-":
+        print(text, flush=True)
+    else:
+        write_text(target, text + "\n")
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a file that the user named; its folder must exist."""
+    Path(path).write_text(text, encoding="utf-8", newline="\n")
+
+
+@contextmanager
+def progress(what: str) -> Iterator[Any]:
+    """A progress bar on standard error; yields ``update(fraction, text="")``. Silent when not a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda fraction, text="": None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    with Progress(TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn(),
+                  console=Console(stderr=True), transient=True) as bars:
+        task = bars.add_task(what, total=1.0)
+
+        def update(fraction: float, text: str = "") -> None:
+            bars.update(task, completed=fraction, description=printable(text) or what)
+
+        yield update
