@@ -1,0 +1,98 @@
+/* The firmware's core: what every board runs.  No heap, no board header, no floating point.
+
+   A board owns one station_core and calls
+     station_init      once after reset, with its description and a number that differs from one power-up to the next;
+     station_receive   with the bytes that the line brought, from the main loop;
+     station_tick      from the timer interrupt, with the sensors read at this tick; it sets the drive;
+     station_transmit  to fetch bytes for the line, from the main loop or the transmit interrupt.
+   The board sees to it that these never interrupt one another (the tick masked while the others run; each is bounded:
+   station_receive by the bytes given, at most one frame's work per delimiter).  After station_receive the board
+   applies core->drive again when it has become 0: a stop does not wait for the next tick.  While output.enable is 0
+   the drive's enable pin is inactive.
+
+   Commands.  The host answers the sample of tick i with the command for tick i + answer_ticks.  A command
+     for the coming tick, or one of those whose sample was sent, is latched and applied exactly at its tick;
+     for a tick that has passed is late: counted, not used;
+     for a tick whose sample was not sent yet is early: counted, not used;
+     for a tick that has its command already is repeated: counted, the first one stands;
+     beyond +-STATION_INDEX_WINDOW ticks is out of the window: counted, not used;
+     beyond the limit is cut to the limit: counted, and the status of its tick says so.
+   A tick without a command holds the last one for at most hold_ticks ticks in a row; then the drive is 0; after
+   fault_ticks such ticks in a row the device is in fault, which only `clear` leaves.  */
+
+#ifndef STATION_CORE_H
+#define STATION_CORE_H
+
+#include <stdint.h>
+
+#include "protocol.h"
+
+/* declarations: begin (Python reads what stands between these two lines) */
+
+enum { STATION_TRANSMIT_BYTES = 256, STATION_SLOTS = 4 };
+
+typedef struct { /* what a board is; constant */
+    uint32_t boot;         /* random number of this power-up */
+    uint32_t clock_hz;     /* of input.clock */
+    uint32_t rate_min;     /* mHz */
+    uint32_t rate_max;     /* mHz */
+    uint32_t build;        /* hash of the sources */
+    int16_t command_limit; /* counts; configure can only tighten it */
+    uint16_t flags;        /* STATION_BOARD_... */
+    uint8_t reset;         /* STATION_RESET_... */
+    char name[16];
+} station_board;
+
+typedef struct { /* what the board reads at a tick, before the tick's command acts */
+    uint32_t clock;
+    int32_t encoder; /* counts, free running, wraps */
+    int16_t accel;   /* counts */
+    uint16_t flags;  /* STATION_INPUT_... */
+} station_input;
+
+typedef struct { /* what the board does at a tick */
+    int16_t drive;   /* counts, in force until the next tick */
+    uint16_t status; /* STATION_STATUS_... */
+    uint8_t enable;  /* 1 while running */
+} station_output;
+
+typedef struct {
+    station_board board;
+    station_configure config;
+    station_statistics statistics; /* of this session */
+    uint32_t challenge;
+    uint32_t random;
+    uint32_t encoder_zero;
+    int32_t encoder; /* counts from the zero, at the last tick */
+    int32_t rest_encoder;
+    uint32_t rest_ticks;      /* so long within one count of rest_encoder */
+    uint32_t rest_ticks_need; /* so many make a rest */
+    uint16_t zeroings;
+    uint16_t session;     /* 0: none */
+    uint16_t next_index;  /* of the coming tick */
+    uint16_t first_ticks; /* ticks to come that cannot have a command yet */
+    uint16_t silent;      /* ticks in a row without a command */
+    uint16_t news;        /* status bits since the last sample */
+    int16_t drive;        /* what is applied now */
+    uint8_t state;
+    uint8_t fault;
+    uint8_t trusted;    /* the host's protocol is ours */
+    uint8_t configured; /* since the last identify */
+    uint8_t slot_full[STATION_SLOTS];
+    uint8_t slot_cut[STATION_SLOTS];
+    int16_t slot_command[STATION_SLOTS];
+    uint16_t received;
+    uint16_t transmit;
+    uint8_t overlong;
+    uint8_t receive_bytes[STATION_FRAME_BYTES];
+    uint8_t transmit_bytes[STATION_TRANSMIT_BYTES];
+} station_core;
+
+void station_init(station_core *core, const station_board *board, uint32_t entropy);
+void station_receive(station_core *core, const uint8_t *bytes, uint16_t length);
+void station_tick(station_core *core, const station_input *input, station_output *output);
+uint16_t station_transmit(station_core *core, uint8_t *bytes, uint16_t capacity);
+
+/* declarations: end */
+
+#endif

@@ -1,0 +1,53 @@
+#include "frame.h"
+
+uint16_t station_crc(uint16_t crc, const uint8_t *bytes, uint16_t length)
+{
+    uint32_t value = crc;
+    for (uint16_t i = 0; i < length; i++) {
+        value = ((value >> 8) | (value << 8)) & 0xffffu;
+        value ^= bytes[i];
+        value ^= (value & 0xffu) >> 4;
+        value ^= (value << 12) & 0xffffu;
+        value ^= (value & 0xffu) << 5;
+    }
+    return (uint16_t)value;
+}
+
+uint16_t station_encode(const uint8_t *body, uint16_t length, uint16_t session, uint8_t *wire)
+{
+    const uint16_t crc = station_crc((uint16_t)(STATION_CRC_START ^ session), body, length);
+    uint16_t code = 0; /* where the distance to the next zero goes */
+    uint16_t at = 1;
+    for (uint16_t i = 0; i < length + 2; i++) {
+        const uint8_t byte = i < length ? body[i] : (uint8_t)(i == length ? crc >> 8 : crc & 0xff);
+        if (byte == 0) {
+            wire[code] = (uint8_t)(at - code);
+            code = at;
+        } else {
+            wire[at] = byte;
+        }
+        at++;
+    }
+    wire[code] = (uint8_t)(at - code);
+    wire[at++] = 0;
+    return at;
+}
+
+uint16_t station_unstuff(uint8_t *frame, uint16_t length)
+{
+    uint16_t read = 0;
+    uint16_t written = 0;
+    while (read < length) {
+        const uint8_t code = frame[read++];
+        if (code == 0 || code - 1 > length - read) {
+            return 0;
+        }
+        for (uint8_t i = 1; i < code; i++) {
+            frame[written++] = frame[read++];
+        }
+        if (code < 0xff && read < length) {
+            frame[written++] = 0;
+        }
+    }
+    return written;
+}
