@@ -1,0 +1,58 @@
+"""Options that several commands share, and their meaning."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from station.errors import UsageError, WorkError
+
+if TYPE_CHECKING:
+    from station.runs.run import Run
+
+RigName = Annotated[str, typer.Option("--rig", metavar="RIG", help="Rig file (TOML), or a built-in name: sflr.")]
+Port = Annotated[str, typer.Option("--port", metavar="PORT", help=(
+    "Serial port: a path such as /dev/ttyUSB0 or COM3, any pyserial URL, sim://sflr (the simulated rig) or "
+    "replay://FILE (a logged run)."))]
+RunFile = Annotated[Path, typer.Argument(metavar="RUN", help=(
+    "Run file: .mcap, .csv, .parquet, .mat, or a laboratory's tab-separated .txt."))]
+RunFiles = Annotated[list[Path], typer.Argument(metavar="RUN...", help=(
+    "Run files: .mcap, .csv, .parquet, .mat, or a laboratory's tab-separated .txt."))]
+Json = Annotated[str | None, typer.Option("--json", metavar="FILE", help=(
+    "Write the result as JSON to FILE; - for standard output."))]
+Out = Annotated[Path, typer.Option("--out", metavar="FILE", help="File to write; its ending chooses the form.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the output file where it exists.")]
+
+
+def command(app: typer.Typer, name: str, panel: str, example: str) -> Callable[[Callable], Callable]:
+    """Register a command with its panel in the help and an example that runs as it stands."""
+    return app.command(name, rich_help_panel=panel, epilog=f"Example: {example}", no_args_is_help=False)
+
+
+def load_runs(paths: list[Path]) -> list[Run]:
+    """Read run files, whose names must differ: results are told apart by them."""
+    from station.runs import load_run
+
+    seen: dict[str, Path] = {}
+    runs = []
+    for path in paths:
+        run = load_run(path)
+        if run.name in seen:
+            raise UsageError(f"{path}: another run is named {run.name} too ({seen[run.name]}); rename one of them")
+        seen[run.name] = path
+        runs.append(run)
+    return runs
+
+
+def need_folder(path: Path | str | None) -> None:
+    """Refuse an output whose folder is missing, before any work is done."""
+    if path is None or str(path) == "-":
+        return
+    path = Path(path)
+    if not path.parent.is_dir():
+        raise WorkError(f"{path}: the folder {path.parent} does not exist")
+    if path.is_dir():
+        raise WorkError(f"{path}: is a folder; name a file")

@@ -1,0 +1,63 @@
+"""The structure that ARCHITECTURE.md promises: who may import whom, and that lint is clean."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def _run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-m", *arguments], cwd=ROOT, capture_output=True, text=True)
+
+
+def test_dependencies_point_one_way():
+    done = subprocess.run([sys.executable, "-c", "from importlinter.cli import lint_imports_command as run; run()",
+                           "--no-cache"], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "0 broken" in done.stdout
+
+
+def test_a_contract_breaks_where_an_import_points_the_wrong_way(tmp_path):
+    """The check above can fail: a copy of the package in which control imports the loop does not pass."""
+    import shutil
+
+    shutil.copytree(ROOT / "station", tmp_path / "station", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    with (tmp_path / "station" / "control" / "rounding.py").open("a", encoding="utf-8") as file:
+        file.write("\nimport station.loop\n")
+    done = subprocess.run([sys.executable, "-c", "from importlinter.cli import lint_imports_command as run; run()",
+                           "--no-cache"], cwd=tmp_path, capture_output=True, text=True,
+                          env={"PYTHONPATH": str(tmp_path), "PATH": ""})
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert "BROKEN" in done.stdout
+
+
+def test_ruff_finds_nothing():
+    done = _run("ruff", "check", ".")
+    assert done.returncode == 0, done.stdout
+
+
+def test_every_dependency_is_imported_and_pinned():
+    """No dependency stands in pyproject.toml that nothing uses, and the lock names each."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    modules = {"pyserial": "serial", "rerun-sdk": "rerun", "tomli-w": "tomli_w", "protobuf": "google.protobuf"}
+    source = "\n".join(path.read_text(encoding="utf-8") for path in (ROOT / "station").rglob("*.py"))
+    pinned = {line.split("==")[0].lower().replace("_", "-")
+              for line in (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines()}
+    for requirement in project["dependencies"]:
+        name = requirement.split(">=")[0]
+        module = modules.get(name, name)
+        assert f"import {module}" in source or f"from {module}" in source, f"{name} is imported nowhere"
+        assert name in pinned, f"{name} is not in requirements.lock"
+
+
+@pytest.mark.parametrize("line", (ROOT / "requirements.lock").read_text(encoding="utf-8").splitlines())
+def test_the_lock_holds_names_and_versions_alone(line):
+    name, version = line.split("==")
+    assert name and version[0].isdigit()
