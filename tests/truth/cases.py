@@ -1,0 +1,539 @@
+"""Blind cases: tests of the station on a hidden rig, and how plainly the hidden cause shows in them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from station.runs.run import Run, RunMetadata
+
+from . import sizes
+from .rigs import SFLR, RigDict, draw_logs, own_sigma, shifted, uncertain_keys
+from .simulate import CONTROLLERS, OUTSIDE, Effect, Output, Truth
+
+Array = NDArray[np.float64]
+REST = 0.2  # s before every test
+
+
+@dataclass(frozen=True)
+class Test:
+    """One test: what the station's metadata say of it, the compensator's name, the reference in counts."""
+
+    __test__ = False
+    kind: dict[str, Any]
+    controller: str
+    reference: Array
+
+    @property
+    def name(self) -> str:
+        return f"{self.kind['kind']}-{self.controller}"
+
+
+def step_test(rate: float, controller: str, amplitude: float, duration: float = 2.0) -> Test:
+    """Rest, then a step of `amplitude` counts."""
+    reference = np.zeros(round(duration * rate))
+    reference[round(REST * rate) :] = amplitude
+    return Test({"kind": "step", "amplitude": amplitude, "duration": duration}, controller, reference)
+
+
+def pulse_test(
+    rate: float, amplitude: float, width: float = 0.1, both: bool = True, duration: float = 2.0
+) -> Test:
+    """Open loop: rest, a pulse of `amplitude` counts, and from 60 % of the run on the opposite one."""
+    reference = np.zeros(round(duration * rate))
+    first, long = round(REST * rate), round(width * rate)
+    reference[first : first + long] = amplitude
+    if both:
+        second = round(0.6 * duration * rate)
+        reference[second : second + long] = -amplitude
+    kind = {"kind": "pulse", "amplitude": amplitude, "width": width, "both": both, "duration": duration}
+    return Test(kind, "open", reference)
+
+
+def sweep_test(
+    rate: float,
+    amplitude: float,
+    f0: float = 0.3,
+    f1: float = 15.0,
+    duration: float = 12.0,
+    controller: str = "p1",
+) -> Test:
+    """Rest, then a sine of whole counts whose frequency grows exponentially from f0 to f1 Hz."""
+    n, rest = round(duration * rate), round(REST * rate)
+    t = np.arange(n - rest) / rate
+    length = (n - rest) / rate
+    k = math.log(f1 / f0) / length
+    reference = np.zeros(n)
+    reference[rest:] = np.floor(amplitude * np.sin(2 * np.pi * f0 * (np.exp(k * t) - 1.0) / k) + 0.5)
+    kind = {"kind": "sweep", "amplitude": amplitude, "f0": f0, "f1": f1, "duration": duration}
+    return Test(kind, controller, reference)
+
+
+def multisine_test(
+    rate: float, amplitude: float, seed: int, duration: float = 4.0, controller: str = "p1"
+) -> Test:
+    """Rest, then twelve sines from 0.5 to 12 Hz, random phases, scaled so that the largest value is
+    `amplitude`."""
+    rng = np.random.default_rng(seed)
+    n, rest = round(duration * rate), round(REST * rate)
+    t = np.arange(n - rest) / rate
+    tones = np.geomspace(0.5, 12.0, 12)[:, None]
+    wave = np.sin(2 * np.pi * tones * t + rng.uniform(0, 2 * np.pi, (12, 1))).sum(axis=0)
+    wave -= wave[0]
+    reference = np.zeros(n)
+    reference[rest:] = np.floor(amplitude * wave / np.max(np.abs(wave)) + 0.5)
+    kind = {"kind": "multisine", "amplitude": amplitude, "seed": seed, "duration": duration}
+    return Test(kind, controller, reference)
+
+
+def prbs_test(rate: float, amplitude: float, seed: int, hold: float = 0.04, duration: float = 3.0) -> Test:
+    """Open loop: rest, then +-amplitude at random every `hold` seconds, every other interval the opposite."""
+    rng = np.random.default_rng(seed)
+    n, rest, each = round(duration * rate), round(REST * rate), round(hold * rate)
+    halves = rng.choice([-1.0, 1.0], size=n // (2 * each) + 1)
+    signs = np.column_stack([halves, -halves]).ravel()
+    reference = np.zeros(n)
+    reference[rest:] = amplitude * np.repeat(signs, each)[: n - rest]
+    kind = {"kind": "prbs", "amplitude": amplitude, "seed": seed, "hold": hold, "duration": duration}
+    return Test(kind, "open", reference)
+
+
+def draw_tests(rng: np.random.Generator, rig: RigDict = SFLR, count: int | None = None) -> list[Test]:
+    """Five to eight tests: at least a pulse and two steps under different compensators; whole amplitudes."""
+    rate = rig["sample_rate"]
+    loops = ["p1", "p2", "lead"] + (["lead_accel"] if rig.get("accelerometer") else [])
+
+    def amplitude(low: int, high: int) -> float:
+        return float(rng.choice([-1, 1], p=[0.25, 0.75]) * rng.integers(low, high + 1))
+
+    def step(controller: str) -> Test:
+        return step_test(rate, controller, amplitude(30, 200), float(rng.choice([2.0, 2.0, 3.0])))
+
+    def pulse() -> Test:
+        width = float(rng.choice([0.06, 0.1, 0.2]))
+        return pulse_test(
+            rate, amplitude(60, 180), width, bool(rng.random() < 0.7), float(rng.choice([2.0, 3.0]))
+        )
+
+    count = int(rng.integers(5, 9)) if count is None else count
+    tests = [pulse(), *(step(c) for c in rng.permutation(loops)[:2])]
+    while len(tests) < count:
+        pick = rng.choice(["step", "pulse", "sweep", "multisine", "prbs"], p=[0.45, 0.2, 0.2, 0.1, 0.05])
+        if pick == "sweep" and any(t.kind["kind"] == "sweep" for t in tests):
+            pick = "step"
+        if pick == "step":
+            tests.append(step(str(rng.choice(loops))))
+        elif pick == "pulse":
+            tests.append(pulse())
+        elif pick == "sweep":
+            f1, duration = float(rng.uniform(8.0, 20.0)), float(rng.choice([8.0, 10.0, 14.0]))
+            tests.append(sweep_test(rate, abs(amplitude(20, 60)), 0.3, f1, duration))
+        elif pick == "multisine":
+            tests.append(multisine_test(rate, abs(amplitude(40, 100)), int(rng.integers(1 << 30))))
+        else:
+            tests.append(prbs_test(rate, abs(amplitude(60, 160)), int(rng.integers(1 << 30))))
+    return [tests[i] for i in rng.permutation(count)]
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What surrounds one run and no cause explains: nuisances and noise."""
+
+    start: str = "released"
+    start_angle: float = 0.0  # rad
+    gap_place: float = 0.0  # of half the gap
+    zero_angle: float = 0.0  # rad
+    accel_offset: float = 0.0  # counts
+    accel_sigma: float = 1.0  # counts, before rounding
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Case:
+    """`runs` is all that a diagnosis may see; `truth` is sealed: causes, constants, conditions, severity."""
+
+    runs: list[Run]
+    truth: dict[str, Any]
+    rig: RigDict
+    effects: list[Effect] = field(repr=False)
+    tests: list[Test] = field(repr=False)
+    conditions: list[Conditions] = field(repr=False)
+
+
+def simulate_case(
+    constants: RigDict,
+    effects: Sequence[Effect],
+    tests: Sequence[Test],
+    conditions: Sequence[Conditions],
+    exact: bool = False,
+    step: float = 1e-4,
+) -> list[Output]:
+    """Every test of a case on one rig. `exact` leaves rounding and noise away, for severities."""
+    truth = Truth(constants, effects, step)
+    outputs = []
+    for test, c in zip(tests, conditions, strict=True):
+        outputs.append(
+            truth.run(
+                test.reference,
+                CONTROLLERS[test.controller],
+                start=c.start,
+                start_angle=c.start_angle,
+                gap_place=c.gap_place,
+                zero_angle=c.zero_angle,
+                accel_offset=c.accel_offset,
+                accel_sigma=0.0 if exact else c.accel_sigma,
+                rounding=not exact,
+                rng=np.random.default_rng(c.seed),
+            )
+        )
+    return outputs
+
+
+def _weighted(outputs: Sequence[Output], conditions: Sequence[Conditions]) -> Array:
+    """All outputs in one column, each over the sigma of its noise and rounding."""
+    parts = []
+    for out, c in zip(outputs, conditions, strict=True):
+        parts.append(out.encoder / math.sqrt(0.05**2 + 1 / 12))
+        if out.accel is not None:
+            parts.append(out.accel / math.sqrt(c.accel_sigma**2 + 1 / 12))
+    return np.concatenate(parts)
+
+
+def severity(
+    constants: RigDict,
+    logs: dict[str, float],
+    commons: dict[str, float],
+    cause: Effect,
+    others: Sequence[Effect],
+    tests: Sequence[Test],
+    conditions: Sequence[Conditions],
+    turns: int = 3,
+) -> float:
+    """Chi squared that the best re-fitted rig without `cause` loses against the rig with it.
+
+    `constants` is the drawn rig, `logs` and `commons` what it was drawn with (`draw_logs`), which the
+    uncertainty weighs. Fitted without the cause, by Gauss-Newton: every uncertain constant and common factor
+    under its uncertainty, each run's starting angle and accelerometer offset freely. The same freedom,
+    linearised, is granted with the cause; a parameter cause has its own uncertainty set aside there. Outputs
+    are exact: no rounding, no noise.
+    """
+    sigmas = constants["uncertainty"]
+    keys = uncertain_keys(constants)
+    tables = sorted({k.split(".")[0] for k in keys} & set(sigmas))
+    own = np.array([own_sigma(sigmas, k) for k in keys] + [sigmas[t] for t in tables])
+    drawn = [logs[k] for k in keys]
+    drawn += [next(v for k, v in commons.items() if k.startswith(t + ".") and v != 0.0) for t in tables]
+    z0 = np.array(drawn) / own
+    n_runs = len(tests)
+    truth = _weighted(simulate_case(constants, [*others, cause], tests, conditions, exact=True), conditions)
+
+    def rig_at(z: Array) -> RigDict:
+        move = (z[: len(own)] - z0) * own
+        by_key = dict(zip(keys, move, strict=False))
+        for t, shift in zip(tables, move[len(keys) :], strict=True):
+            for name in ("inertia", "damping", "gain"):
+                if f"{t}.{name}" in by_key:
+                    by_key[f"{t}.{name}"] += shift
+        return shifted(constants, by_key)
+
+    def around(z: Array) -> list[Conditions]:
+        angles, offsets = z[len(own) : len(own) + n_runs], z[len(own) + n_runs :]
+        return [
+            replace(
+                c, start="released", start_angle=c.start_angle + 0.01 * a, accel_offset=c.accel_offset + b
+            )
+            for c, a, b in zip(conditions, angles, offsets, strict=True)
+        ]
+
+    def model(z: Array) -> Array:
+        return _weighted(simulate_case(rig_at(z), others, tests, around(z), exact=True), conditions)
+
+    size = len(own) + 2 * n_runs
+    edges = np.cumsum([0] + [len(t.reference) * (2 if constants.get("accelerometer") else 1) for t in tests])
+
+    def slopes(z: Array, y: Array) -> Array:
+        s = np.zeros((len(y), size))
+        for k in range(len(own)):
+            d = np.zeros(size)
+            d[k] = 1e-3 / max(own[k], 0.05)
+            s[:, k] = (model(z + d) - y) / d[k]
+        for block in (len(own), len(own) + n_runs):  # one run's nuisance moves that run alone
+            d = np.zeros(size)
+            d[block : block + n_runs] = 1e-3
+            moved = (model(z + d) - y) / 1e-3
+            for r in range(n_runs):
+                s[edges[r] : edges[r + 1], block + r] = moved[edges[r] : edges[r + 1]]
+        return s
+
+    weight = np.zeros(size)
+    weight[: len(own)] = 1.0
+    weight[len(own) :] = 1e-3
+
+    def objective(y: Array, z: Array) -> float:
+        return float(np.sum((truth - y) ** 2) + np.sum((weight * z) ** 2))
+
+    z = np.r_[z0, np.zeros(2 * n_runs)]
+    y = model(z)
+    s = slopes(z, y)
+    free = weight.copy()
+    name = cause["effect"].removeprefix("parameter:")
+    if name in keys:
+        free[keys.index(name)] = 0.0
+    # With the cause: truth itself, then the constants relax towards nominal as far as the data let them.
+    relax = np.linalg.lstsq(np.vstack([s, np.diag(free)]), np.r_[np.zeros(len(y)), -free * z], rcond=None)[0]
+    with_cause = float(np.sum((s @ relax) ** 2) + np.sum((free * (z + relax)) ** 2))
+
+    best = objective(y, z)
+    for turn in range(turns):
+        if turn:
+            s = slopes(z, y)
+        move = np.linalg.lstsq(np.vstack([s, np.diag(weight)]), np.r_[truth - y, -weight * z], rcond=None)[0]
+        for shrink in (1.0, 0.5, 0.2, 0.05):
+            try:
+                y_new = model(z + shrink * move)
+            except (ValueError, OverflowError):
+                continue
+            value = objective(y_new, z + shrink * move)
+            if np.isfinite(value) and value < best:
+                break
+        else:
+            break
+        gained, best, z, y = best - value, value, z + shrink * move, y_new
+        if gained < 0.01 * best:
+            break
+    return best - with_cause
+
+
+def behaves(outputs: Sequence[Output], tests: Sequence[Test], rig: RigDict) -> bool:
+    """Whether the runs are of a rig that a laboratory would work with.
+
+    Every reading finite and within three times the reference and one turn; every step under a compensator has
+    calmed down: over the last 0.4 s the encoder stays within a third of the step of its mean, and that mean
+    is within half a step of the reference.
+    """
+    turn = rig["encoder"]["counts_per_revolution"]
+    tail = round(0.4 * rig["sample_rate"])
+    for out, test in zip(outputs, tests, strict=True):
+        if not np.all(np.isfinite(out.encoder)):
+            return False
+        closed = test.controller != "open"
+        if np.max(np.abs(out.encoder)) > (3 * np.max(np.abs(test.reference)) + 50 if closed else 2 * turn):
+            return False
+        if out.accel is not None and not np.all(np.abs(out.accel) < 2000):
+            return False
+        if test.kind["kind"] == "step":
+            size = abs(test.kind["amplitude"])
+            end = out.encoder[-tail:]
+            if np.ptp(end) > size / 3 + 4 or abs(end.mean() - test.reference[-1]) > size / 2 + 10:
+                return False
+    return True
+
+
+def make_case(
+    seed: int,
+    effects: Sequence[str | tuple[str, str] | Effect] = (),
+    tests: Sequence[Test] | None = None,
+    *,
+    nominal: RigDict = SFLR,
+    band: str | tuple[float, float] | None = "clear",
+    limit: float = 2.0,
+    accel_sigma: float | None = None,
+    count: int | None = None,
+) -> Case:
+    """A blind case, the same for the same arguments.
+
+    `effects`: names, (name, at) or whole effects. A named effect is drawn and, alone on this rig in these
+    tests, sized until its severity falls into `band` ("clear", "subtle", a range, or None for the size as
+    drawn); a whole effect stays as given. Effects outside the catalogue are not sized, except that "clear"
+    draws them again until their severity exceeds 200. A rig that does not behave (`behaves`: without and
+    with its effects) is drawn again. A ValueError says that no draw reached the band.
+    """
+    rng = np.random.default_rng([seed, 0x57A7])
+    target = sizes.BANDS[band] if isinstance(band, str) else band
+    reason = "no rig behaved"
+    for _ in range(40):
+        own, common = draw_logs(nominal, None, rng, limit)
+        rig = shifted(nominal, own, common)
+        drawn_tests = list(tests) if tests is not None else draw_tests(rng, nominal, count)
+        conditions = _draw_conditions(rng, drawn_tests, accel_sigma)
+        if not behaves(simulate_case(rig, [], drawn_tests, conditions), drawn_tests, rig):
+            continue
+        settled: list[Effect] = []
+        grades: dict[str, float] = {}
+        for wanted in effects:
+            effect = _sized(wanted, rig, nominal, own, common, drawn_tests, conditions, target, rng)
+            if effect is None:
+                reason = f"no size of {wanted} reached {target}"
+                break
+            settled.append(effect[0])
+            grades[f"{effect[0]['effect']}@{effect[0]['at']}"] = effect[1]
+        if len(settled) < len(effects):
+            continue
+        conditions = _settle_conditions(rng, rig, settled, conditions)
+        outputs = simulate_case(rig, settled, drawn_tests, conditions)
+        if not behaves(outputs, drawn_tests, rig):
+            reason = "no rig behaved with its effects"
+            continue
+        return _case(seed, rig, nominal, settled, grades, drawn_tests, conditions, outputs, own, common, rng)
+    raise ValueError(f"seed {seed}, {list(effects)}: {reason}")
+
+
+def _draw_conditions(
+    rng: np.random.Generator, tests: Sequence[Test], sigma: float | None
+) -> list[Conditions]:
+    """Starting angles of a bench that is not zeroed between runs; noise like that of the measured rig."""
+    level = float(rng.uniform(0.4, 1.3)) if sigma is None else sigma
+    spread = float(rng.choice([0.25, 3.0])) * 2 * math.pi / 1024
+    return [
+        Conditions(
+            start_angle=float(rng.normal(0.0, spread)),
+            gap_place=float(rng.uniform(-1.0, 1.0)),
+            accel_offset=float(rng.normal(0.0, 1.5)),
+            accel_sigma=level,
+            seed=int(rng.integers(1 << 31)),
+        )
+        for _ in tests
+    ]
+
+
+def _settle_conditions(
+    rng: np.random.Generator, rig: RigDict, effects: Sequence[Effect], conditions: list[Conditions]
+) -> list[Conditions]:
+    """One case in six starts in equilibrium, where there is one."""
+    if rng.random() > 1 / 6:
+        return conditions
+    truth = Truth(rig, effects)
+    try:
+        for c in conditions:
+            angle, _ = truth.equilibrium(c.start_angle, c.gap_place)
+            if abs(angle - c.start_angle) > 0.3:
+                return conditions
+    except ValueError:
+        return conditions
+    return [replace(c, start="equilibrium") for c in conditions]
+
+
+def _sized(
+    wanted: str | tuple[str, str] | Effect,
+    rig: RigDict,
+    nominal: RigDict,
+    own: dict[str, float],
+    common: dict[str, float],
+    tests: Sequence[Test],
+    conditions: Sequence[Conditions],
+    target: tuple[float, float] | None,
+    rng: np.random.Generator,
+) -> tuple[Effect, float] | None:
+    """The effect at a size whose severity lies in the band, and that severity; None where there is no such
+    size."""
+
+    def grade(effect: Effect) -> float:
+        try:
+            if not behaves(simulate_case(rig, [effect], tests, conditions), tests, rig):
+                return math.nan
+            return severity(rig, own, common, effect, [], tests, conditions)
+        except (ValueError, np.linalg.LinAlgError):
+            return math.nan
+
+    if isinstance(wanted, dict):
+        return wanted, grade(wanted)
+    name, at = (wanted, None) if isinstance(wanted, str) else wanted
+    centre = shifted(nominal, common)
+    if name in OUTSIDE:
+        for _ in range(8):
+            effect = sizes.draw_effect(name, rng, rig)
+            value = grade(effect)
+            if np.isfinite(value) and (target is None or value >= 200.0):
+                return effect, value
+        return None
+    shape = sizes.draw_effect(name, rng, rig, at)
+    if target is None:
+        effect = sizes.scaled(shape, 1.0, rig, centre)
+        return (effect, grade(effect)) if effect else None
+    goal = math.exp(rng.uniform(*(math.log(x) for x in target)))
+    low, high, factor = None, None, 1.0
+    for _ in range(14):
+        effect = sizes.scaled(shape, factor, rig, centre)
+        value = grade(effect) if effect else math.nan
+        if (
+            effect
+            and target[0] <= value <= target[1]
+            and (low is not None or high is not None or value > 0.3 * goal)
+        ):
+            return effect, value
+        if effect and value < goal:
+            low = factor
+        else:
+            high = factor
+        if low is None:
+            if name.startswith("parameter:"):
+                return None  # plainer than asked at the smallest size that is a cause, or not a workable rig
+            factor = high / 2.0
+        elif high is None:
+            factor = low * 2.0
+        else:
+            factor = math.sqrt(low * high)
+            if high / low < 1.01:
+                return None
+    return None
+
+
+def _case(
+    seed: int,
+    rig: RigDict,
+    nominal: RigDict,
+    effects: list[Effect],
+    grades: dict[str, float],
+    tests: list[Test],
+    conditions: list[Conditions],
+    outputs: list[Output],
+    own: dict[str, float],
+    common: dict[str, float],
+    rng: np.random.Generator,
+) -> Case:
+    """Blind runs and the sealed truth."""
+    clocked = bool(rng.random() < 0.5)
+    ratio = next((e["ratio"] for e in effects if e["effect"] == "clock_scale"), 1.0)
+    runs = []
+    for k, (test, c, out) in enumerate(zip(tests, conditions, outputs, strict=True)):
+        n = np.arange(len(out.t), dtype=float)
+        late = float(rng.uniform(0.0, 1e4)) + rng.exponential(2e-4, len(n))
+        metadata = RunMetadata(
+            rig=nominal["name"],
+            controller=CONTROLLERS[test.controller],
+            test=test.kind,
+            zero_id="bench",
+            start=c.start,
+            command_row=-1,
+            accel_zero=out.accel_zero,
+        )
+        runs.append(
+            Run(
+                name=f"{k + 1:02d}-{test.name}",
+                t=out.t,
+                reference=out.reference,
+                command=out.command,
+                encoder=out.encoder,
+                accel=out.accel,
+                metadata=metadata,
+                n=n,
+                device_time=out.t.copy() if clocked else None,
+                host_time=out.t * ratio + late if clocked else None,
+            )
+        )
+    truth = {
+        "seed": seed,
+        "causes": [dict(e) for e in effects],
+        "outside": [e["effect"] for e in effects if e["effect"] in OUTSIDE],
+        "constants": {k: v for k, v in rig.items() if k != "uncertainty"},
+        "logs": own,
+        "common": common,
+        "severity": grades,
+        "conditions": [vars(c) for c in conditions],
+    }
+    return Case(runs, truth, rig, effects, tests, conditions)
