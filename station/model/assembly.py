@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 
 from station.model.beam import beam_matrices
 from station.rig import Rig
@@ -83,3 +84,19 @@ def assemble(rig: Rig) -> Assembly:
     rigid[nodes] = beam.length / beam.elements * np.arange(1, beam.elements + 1)
     rigid[nodes + 1] = 1.0
     return Assembly(mass, damping, stiffness, rigid, motor, base, root, tip, nodes)
+
+
+def state_matrix(assembly: Assembly) -> np.ndarray:
+    """A (2n x 2n) of x' = A x + B u, x = [q, q']: A = [[0, I], [-M^-1 K, -M^-1 C]]."""
+    n = assembly.size
+    factor = scipy.linalg.cho_factor(assembly.mass)
+    a = np.zeros((2 * n, 2 * n))
+    a[:n, n:] = np.eye(n)
+    a[n:, :n] = -scipy.linalg.cho_solve(factor, assembly.stiffness)
+    a[n:, n:] = -scipy.linalg.cho_solve(factor, assembly.damping)
+    return a
+
+
+def torque_input(assembly: Assembly, torque: np.ndarray) -> np.ndarray:
+    """B (2n) = [0, M^-1 F] of a generalised torque F (n) of one N m."""
+    return np.concatenate([np.zeros(assembly.size), np.linalg.solve(assembly.mass, torque)])

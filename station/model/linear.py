@@ -1,7 +1,6 @@
 """The linear model in state space, continuous and exactly sampled.
 
-x = [q, q'], x' = A x + B u with A = [[0, I], [-M^-1 K, -M^-1 C]], B = [0, M^-1 F], F the motor's gain at the motor's
-rotation (N m per count).  Outputs in counts: the encoder N/(2 pi) theta_base, and the accelerometer's gain times the
+x = [q, q'], x' = A x + B u (see assembly), u the command.  Outputs in counts: the encoder N/(2 pi) theta_base, and the accelerometer's gain times the
 tip's acceleration, a row of q'' = -M^-1 K q - M^-1 C q' + M^-1 F u.
 """
 
@@ -11,24 +10,8 @@ import control
 import numpy as np
 import scipy.linalg
 
-from station.model.assembly import Assembly, assemble
+from station.model.assembly import assemble, state_matrix, torque_input
 from station.rig import Rig
-
-
-def state_matrix(assembly: Assembly) -> np.ndarray:
-    """A (2n x 2n)."""
-    n = assembly.size
-    factor = scipy.linalg.cho_factor(assembly.mass)
-    a = np.zeros((2 * n, 2 * n))
-    a[:n, n:] = np.eye(n)
-    a[n:, :n] = -scipy.linalg.cho_solve(factor, assembly.stiffness)
-    a[n:, n:] = -scipy.linalg.cho_solve(factor, assembly.damping)
-    return a
-
-
-def torque_input(assembly: Assembly, torque: np.ndarray) -> np.ndarray:
-    """B (2n) of a generalised torque (n) of one N m."""
-    return np.concatenate([np.zeros(assembly.size), np.linalg.solve(assembly.mass, torque)])
 
 
 def state_space(rig: Rig) -> control.StateSpace:

@@ -1,0 +1,313 @@
+"""Simulate a rig: a whole run at once, or tick by tick as the simulated device does."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from station.control.compensators import Compensator
+from station.model import stepper
+from station.model.assembly import Assembly, assemble, torque_input
+from station.model.compiled import address
+from station.model.effects import Effect, Stage
+from station.model.modal import ModalForm, apply, modal_form
+from station.rig import Rig
+from station.runs.run import Run
+
+SUBSTEP = 5e-4
+"""Longest step, s, where anything acts between ticks."""
+TRUNCATION = 0.01
+"""Modes are left out while the sum of what they could add to either output stays below this, counts."""
+
+PORT_SHARE = 0.05
+
+_STAGE = {Stage.COMMAND: stepper.COMMAND, Stage.TORQUE: stepper.TORQUE, Stage.FRICTION: stepper.FRICTION,
+          Stage.GAP: stepper.GAP, Stage.SPRING: stepper.SPRING, Stage.ACCEL_INPUT: stepper.ACCEL_INPUT,
+          Stage.ACCEL_FILTER: stepper.ACCEL_FILTER, Stage.ACCEL_COUNTS: stepper.ACCEL_COUNTS,
+          Stage.ENCODER: stepper.ENCODER}
+_PORTS = ("motor", "base", "drive", "clamp")
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """What a rig does in a test: columns as in a run; counts, whole ones where rounding was asked for."""
+
+    t: np.ndarray
+    reference: np.ndarray
+    command: np.ndarray
+    encoder: np.ndarray
+    accel: np.ndarray | None
+    states: np.ndarray | None = None
+    """(n, coordinates) motor, base, root, beam nodes; rad and m; only where asked for."""
+    shape: np.ndarray | None = None
+    """(n, elements + 1) deflection of the beam's nodes in the inertial frame, m; only where asked for."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """A rig made ready for the stepper; independent of any run."""
+
+    rig: Rig
+    assembly: Assembly
+    form: ModalForm
+    plan: stepper.Plan
+    effect_states: int
+    filters: int
+    rings: int
+    dropped: float
+    """Bound of what the modes left out could add to an output, counts."""
+
+
+def build(rig: Rig, truncation: float = TRUNCATION) -> Model:
+    """Assemble, decouple, truncate and sample a rig and lay out its effects."""
+    parts = assemble(rig)
+    whole = modal_form(parts)
+    period, delay, late = rig.period, 0.0, {Stage.ENCODER_DELAY: 0.0, Stage.ACCEL_DELAY: 0.0}
+    for effect in rig.effects:
+        if effect.stage is Stage.CLOCK:
+            period *= next(iter(effect.values().values()))
+        elif effect.stage is Stage.INPUT_DELAY:
+            delay += next(iter(effect.values().values()))
+        elif effect.stage in late:
+            late[effect.stage] += next(iter(effect.values().values()))
+    laws = sorted((e for e in rig.effects if e.stage in _STAGE), key=lambda e: (_STAGE[e.stage], e.order))
+    within = bool(laws) or any(late.values())
+    substeps = math.ceil(period / SUBSTEP - 1e-9) if within else 1
+    h = period / substeps
+    ports = _ports(rig, laws)
+    inputs, rotations = _port_vectors(parts, ports)
+    form, dropped = _truncate(rig, parts, whole, inputs, period, truncation)
+    n = parts.size
+    row = {"angle": form.basis[parts.base], "speed": form.basis[n + parts.base]}
+    held, exponential = form.integral(h), form.exponential(h)
+    command = form.inverse @ (rig.motor.gain * torque_input(parts, parts.unit(parts.motor)))
+    torques = [form.inverse @ torque_input(parts, vector) for vector in inputs]
+    rate = form.function(lambda z: z, 1.0)
+    if parts.tip is None or rig.accelerometer is None:
+        tip_speed, gain = np.zeros(2 * form.blocks), 0.0
+    else:
+        tip_speed, gain = form.basis[n + parts.tip], rig.accelerometer.gain
+    whole_delay = int(delay / period + 1e-9)
+    rest = max(delay - whole_delay * period, 0.0)
+    switch = int(rest / h + 1e-9) if rest > 1e-9 * period else -1
+    switch_time = rest - switch * h if switch >= 0 else 0.0
+    port_angle = np.array([rotation @ form.basis[:n] for rotation in rotations]).reshape(-1, 2 * form.blocks)
+    port_speed = np.array([rotation @ form.basis[n:] for rotation in rotations]).reshape(-1, 2 * form.blocks)
+    port_held = np.array([apply(held, torque) for torque in torques]).reshape(-1, 2 * form.blocks)
+    joints = [getattr(rig, port) if port in ("drive", "clamp") else None for port in ports]
+    slots, first, arguments, states = _slots(rig, laws, ports)
+    switched = apply(form.exponential(h - switch_time), apply(form.integral(switch_time), command))
+    plan = stepper.Plan(
+        substeps, h, exponential, apply(held, command), switched, switch, switch_time, whole_delay,
+        np.ascontiguousarray(row["angle"]), np.ascontiguousarray(row["speed"]), _row(tip_speed, rate),
+        float(tip_speed @ command), np.array([int(j is not None) for j in joints], dtype=np.int64),
+        port_angle, port_speed, port_held, np.array([float(tip_speed @ torque) for torque in torques]),
+        port_angle @ port_held.T, port_speed @ port_held.T,
+        np.array([0.0 if j is None else j.stiffness for j in joints]),
+        np.array([0.0 if j is None else j.damping for j in joints]),
+        ports.index("drive") if any(e.name == "load_friction" for e in laws) else -1,
+        slots, first, arguments, rig.amplifier.limit, rig.beam.length if rig.beam else 0.0,
+        1.0 / rig.angle_per_count, gain, late[Stage.ENCODER_DELAY] / h, late[Stage.ACCEL_DELAY] / h)
+    filters = int(first[stepper.ACCEL_FILTER + 1] - first[stepper.ACCEL_FILTER])
+    rings = int(max(plan.encoder_delay, plan.accel_delay)) + 3
+    return Model(rig, parts, form, plan, states, filters, rings, dropped)
+
+
+def _row(output: np.ndarray, blocks: np.ndarray) -> np.ndarray:
+    """Row vector (2b) times blocks (4, b)."""
+    one, two = output.reshape(2, -1)
+    return np.concatenate([one * blocks[0] + two * blocks[2], one * blocks[1] + two * blocks[3]])
+
+
+def _norms(vector: np.ndarray) -> np.ndarray:
+    """Size of each block's part (b) of a vector (2b)."""
+    return np.hypot(*vector.reshape(2, -1))
+
+
+def _ports(rig: Rig, laws: list[Effect]) -> list[str]:
+    """Ports at which the rig's effects put torques, in fixed order."""
+    wanted = set()
+    for effect in laws:
+        if effect.stage in (Stage.TORQUE, Stage.FRICTION):
+            wanted |= {"motor", "drive"} if effect.at == "drive" else {effect.at}
+        elif effect.stage in (Stage.GAP, Stage.SPRING):
+            wanted.add(effect.at)
+    if rig.drive is None and "base" in wanted:
+        wanted = (wanted - {"base"}) | {"motor"}
+    return [port for port in _PORTS if port in wanted]
+
+
+def _port_vectors(parts: Assembly, ports: list[str]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Generalised torque of one N m and the rotation that it works on; the same vector, by virtual work."""
+    vectors = {"motor": parts.unit(parts.motor), "base": parts.unit(parts.base),
+               "drive": parts.unit(parts.motor) - parts.unit(parts.base)}
+    if parts.root is not None:
+        vectors["clamp"] = parts.unit(parts.base) - parts.unit(parts.root)
+    picked = [vectors[port] for port in ports]
+    return picked, picked
+
+
+def _truncate(rig: Rig, parts: Assembly, form: ModalForm, inputs: list[np.ndarray], period: float,
+              allowed: float) -> tuple[ModalForm, float]:
+    """Leave out the modes that cannot matter.
+
+    A block with outputs c and sampled response g to one count adds at most limit sum_k |c e^(A k T) g| to an output,
+    which |c| |g| / (1 - |e^(lambda T)|) bounds; a port's torque counts as PORT_SHARE of the motor's largest.
+    """
+    n, blocks = parts.size, form.blocks
+    largest = [rig.motor.gain * torque_input(parts, parts.unit(parts.motor))]
+    largest += [PORT_SHARE * rig.motor.gain * torque_input(parts, vector) for vector in inputs]
+    held, rate = form.integral(period), form.function(lambda z: z, 1.0)
+    size = np.zeros(blocks)
+    outputs = [(form.basis[parts.base] / rig.angle_per_count, None)]
+    if parts.tip is not None and rig.accelerometer is not None:
+        tip = form.basis[n + parts.tip] * rig.accelerometer.gain
+        outputs.append((_row(tip, rate), tip))
+    decay = 1.0 - np.abs(np.exp(form.eigenvalues * period)).max(axis=1)
+    for source in largest:
+        force = form.inverse @ source
+        response = _norms(apply(held, force))
+        for output, through in outputs:
+            bound = _norms(output) * response / np.maximum(decay, 1e-12)
+            if through is not None:
+                bound += np.abs((through * force).reshape(2, -1).sum(axis=0))
+            size = np.maximum(size, rig.amplifier.limit * bound)
+    size[np.abs(form.eigenvalues).min(axis=1) == 0.0] = np.inf
+    order = np.argsort(size)
+    total = np.cumsum(size[order])
+    count = int(np.searchsorted(total, allowed))
+    keep = np.sort(order[count:])
+    return form.select(keep), float(total[count - 1]) if count else 0.0
+
+
+def _slots(rig: Rig, laws: list[Effect], ports: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    rows, arguments, states = [], [], 0
+    counts = np.zeros(stepper.STAGES, dtype=np.int64)
+    for effect in laws:
+        place = effect.at
+        if effect.stage is Stage.FRICTION and place == "drive":
+            place = "motor"
+        if place == "base" and "base" not in ports:
+            place = "motor"
+        port = ports.index(place) if place in ports else -1
+        rows.append((port, address(type(effect).law), len(arguments), states))
+        arguments += effect.arguments(rig)
+        states += effect.states
+        counts[_STAGE[effect.stage]] += 1
+    first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return (np.array(rows, dtype=np.int64).reshape(-1, 4), first, np.array([*arguments, 0.0], dtype=float), states)
+
+
+def initial_state(model: Model, start_angle: float = 0.0, zero: float = 0.0, *, equilibrium: bool = False,
+                  gap_place: float = 0.0) -> stepper.State:
+    """State at sample 0.
+
+    Released (the default): at rest, springs relaxed, every rotation at ``start_angle`` (rad, encoder zero at 0).
+    Equilibrium: springs carry the constant torques of the angle and of command 0; filters and lags are settled.
+    ``zero`` (rad) is the absolute angle of encoder count 0; ``gap_place`` in [-1, 1] the motor's place in a gap.
+    """
+    plan, parts = model.plan, model.assembly
+    q = start_angle * parts.rigid
+    gap = sum(e.values()["gap"] for e in model.rig.effects if e.stage is Stage.GAP)
+    if parts.motor != parts.base:
+        q[parts.motor] += 0.5 * gap * gap_place
+    z = model.form.inverse @ np.concatenate([q, np.zeros(parts.size)])
+    state = stepper.State(
+        z, np.zeros(plan.port_joint.size), np.zeros(model.effect_states + 1), np.zeros(plan.whole_delay + 2),
+        np.zeros(model.rings), np.zeros(model.rings), np.zeros(3, dtype=np.int64), np.zeros(3 + model.filters))
+    state.last[2] = zero
+    if equilibrium:
+        _balance(model, state, q)
+    return state
+
+
+def _balance(model: Model, state: stepper.State, q: np.ndarray) -> None:
+    """Settle lags on command 0 and let the drive carry the base's constant torque to a motor that is held."""
+    rig, parts, zero = model.rig, model.assembly, state.last[2]
+    count = 0.0
+    first_state = 0
+    no_state = [0.0]
+    for effect in sorted((e for e in rig.effects if e.stage is Stage.COMMAND), key=lambda e: e.order):
+        if effect.states:
+            state.effects[first_state] = count
+        else:
+            count = type(effect).law(count, 0.0, rig.amplifier.limit, effect.arguments(rig), no_state, 0.0)
+        first_state += effect.states
+    state.last[0] = count
+    if rig.drive is None:
+        return
+    torque = sum(type(e).law(q[parts.base] + zero, 0.0, 0.0, e.arguments(rig), no_state, model.plan.h)
+                 for e in rig.effects if e.stage is Stage.TORQUE and e.at == "base")
+    if torque:
+        q = q.copy()
+        q[parts.motor] -= torque / rig.drive.stiffness
+        state.z[:] = model.form.inverse @ np.concatenate([q, np.zeros(parts.size)])
+
+
+def controller_arrays(spec: dict, rig: Rig, accel_zero: float = 0.0) -> stepper.Controller:
+    """A run's controller as the stepper takes it."""
+    comp = Compensator.from_spec(spec, rig.sample_rate, rig.amplifier.limit)
+    order = max(comp.numerator.size, comp.denominator.size)
+    num, den = np.zeros(order), np.zeros(order)
+    num[: comp.numerator.size], den[: comp.denominator.size] = comp.numerator, comp.denominator
+    return stepper.Controller(comp.open_loop, num, den, comp.accel_numerator, comp.accel_denominator,
+                              float(spec.get("accel_zero", accel_zero)))
+
+
+def simulate_model(model: Model, run: Run, *, rounding: bool = True, start_angle: float = 0.0, zero: float = 0.0,
+                   accel_offset: float = 0.0, gap_place: float = 0.0, states: bool = False) -> Simulation:
+    """As ``simulate``, with a rig that has been built."""
+    meta, rig = run.metadata, model.rig
+    state = initial_state(model, start_angle, zero, equilibrium=meta.start == "equilibrium", gap_place=gap_place)
+    controller = controller_arrays(meta.controller, rig, meta.accel_zero)
+    rows = len(run.t)
+    reference = np.ascontiguousarray(run.reference, dtype=float)
+    closed = not controller.open_loop
+    command = np.zeros(rows) if closed else np.array(run.command, dtype=float)
+    encoder, accel = np.zeros(rows), np.zeros(rows)
+    history = np.zeros((rows if states else 0, state.z.size))
+    stepper.run_ticks(model.plan, state, controller, reference, command, closed, meta.command_row, accel_offset,
+                      rounding, rounding and meta.rounding, encoder, accel, history)
+    shape = full = None
+    if states:
+        full = history @ model.form.basis[: model.assembly.size].T
+        if model.assembly.nodes.size:
+            shape = np.concatenate([np.zeros((rows, 1)), full[:, model.assembly.nodes]], axis=1)
+    return Simulation(run.t, reference, command, encoder, accel if rig.accelerometer is not None else None, full, shape)
+
+
+def simulate(rig: Rig, run: Run, *, rounding: bool = True, start_angle: float | None = None, zero: float = 0.0,
+             accel_offset: float = 0.0, gap_place: float = 0.0, states: bool = False) -> Simulation:
+    """Simulate a run's test on a rig.
+
+    A closed loop runs from the run's reference with its own compensator on the model's own outputs, an open loop
+    from the run's command.  ``start_angle`` (rad) defaults to the run's first encoder reading, ``accel_offset`` is
+    in counts, ``zero`` the absolute angle of encoder count 0.  Without ``rounding`` outputs stay real numbers.
+    """
+    if start_angle is None:
+        start_angle = float(run.encoder[0]) * rig.angle_per_count
+    return simulate_model(build(rig), run, rounding=rounding, start_angle=start_angle, zero=zero,
+                          accel_offset=accel_offset, gap_place=gap_place, states=states)
+
+
+class Plant:
+    """A rig one tick at a time: read the sensors, then hold a command to the next tick."""
+
+    def __init__(self, rig: Rig, start_angle: float = 0.0, accel_offset: float = 0.0) -> None:
+        self.model = build(rig)
+        self._state = initial_state(self.model, start_angle)
+        self._offset = accel_offset
+        self._work = np.zeros((4, max(self.model.plan.port_joint.size, 1)))
+        self._out = np.zeros(2)
+        stepper.begin(self.model.plan, self._state)
+        self._out[:] = stepper.sense(self.model.plan, self._state, accel_offset, True)
+
+    def sample(self) -> tuple[int, int]:
+        """Encoder and accelerometer at this tick, whole counts."""
+        return int(self._out[0]), int(self._out[1])
+
+    def advance(self, command: float) -> None:
+        """Hold a command (counts) for one period."""
+        stepper.tick(self.model.plan, self._state, float(command), self._offset, True, self._work, self._out)

@@ -1,0 +1,412 @@
+"""The compiled stepper: one program for every rig and every set of effects.
+
+Between ticks the linear part moves exactly (modal blocks, zero-order hold).  Effects that are torques act at ports:
+pairs of a generalised torque with the rotation that it works on.  Over a step h
+
+    y+ = y_free + H f
+
+with y the ports' rotations and speeds, y_free their motion without port torques, f the port torques held over h and
+H small and exact.  Smooth laws are taken at the mean of both ends (implicit midpoint).  Dry friction obeys
+f in -level Sgn(v+): the torque that brings the speed to 0, if it is within the level at rest, else the level against
+the motion (Moreau's time stepping), so that sticking is real: the speed is 0, not small.  The few equations are
+solved by Gauss-Seidel.
+
+Sensors are read at the tick, before the new command acts.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from station.model.compiled import call_law, element, njit
+
+COMMAND, TORQUE, FRICTION, GAP, SPRING, ACCEL_INPUT, ACCEL_FILTER, ACCEL_COUNTS, ENCODER = range(9)
+STAGES = 9
+MAX_ITERATIONS = 40
+CROSSINGS = 8
+TOLERANCE = 1e-6
+"""Of the ports' speeds, rad/s: 10^-7 of a count over a step."""
+
+
+class Plan(NamedTuple):
+    """All that the stepper needs of a rig; arrays of float64 unless said. b blocks, p ports."""
+
+    substeps: int
+    h: float
+    """Step, s."""
+    phi: np.ndarray
+    """(4, b) e^(A h)."""
+    held: np.ndarray
+    """(2b) response to one count held over h."""
+    switched: np.ndarray
+    """(2b) response to one count that is there until the command switches within a step."""
+    switch: int
+    """Step of the period in which the command switches (-1: at its start)."""
+    switch_time: float
+    whole_delay: int
+    """Whole periods of input delay."""
+    base_angle: np.ndarray
+    base_speed: np.ndarray
+    tip_acceleration: np.ndarray
+    """(2b) output rows: rad, rad/s, m/s^2."""
+    tip_feedthrough: float
+    """m/s^2 per count."""
+    port_joint: np.ndarray
+    """(p) int64: 1 where the port is a joint with spring and damper, else 0."""
+    port_angle: np.ndarray
+    port_speed: np.ndarray
+    """(p, 2b) output rows."""
+    port_held: np.ndarray
+    """(p, 2b) response to one N m held over h."""
+    port_tip: np.ndarray
+    """(p) m/s^2 at the tip per N m, at once."""
+    angle_gain: np.ndarray
+    speed_gain: np.ndarray
+    """(p, p): H."""
+    joint_stiffness: np.ndarray
+    joint_damping: np.ndarray
+    """(p)."""
+    load_port: int
+    """Port of the drive for load-dependent friction (-1: none)."""
+    slots: np.ndarray
+    """(m, 4) int64: port, address, first argument, first state; grouped by stage."""
+    first: np.ndarray
+    """(STAGES + 1) int64: where each stage's slots begin."""
+    arguments: np.ndarray
+    limit: float
+    length: float
+    counts_per_radian: float
+    counts_per_acceleration: float
+    encoder_delay: float
+    accel_delay: float
+    """In steps h."""
+
+
+class State(NamedTuple):
+    """All that changes; arrays are written in place."""
+
+    z: np.ndarray
+    """(2b) modal coordinates."""
+    torque: np.ndarray
+    """(p) port torques over the last step."""
+    effects: np.ndarray
+    """The effects' own states."""
+    commands: np.ndarray
+    """(whole_delay + 2) ring of commands in force, newest at ``clock[1]``."""
+    angles: np.ndarray
+    accels: np.ndarray
+    """Rings of base angle (rad) and filtered tip acceleration (m/s^2), newest at ``clock[2]``."""
+    clock: np.ndarray
+    """int64: ticks, place in commands, place in angles and accels."""
+    last: np.ndarray
+    """Command that acts now (counts), raw tip acceleration one step before, absolute zero of this run (rad)."""
+
+
+class Controller(NamedTuple):
+    """A compensator as arrays; see station.control.compensators."""
+
+    open_loop: bool
+    numerator: np.ndarray
+    denominator: np.ndarray
+    accel_numerator: np.ndarray
+    accel_denominator: np.ndarray
+    accel_zero: float
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _propagate(phi, held, z, count):
+    """z -> Phi z + held count, in place."""
+    b = phi.shape[1]
+    for i in range(b):
+        one, two = z[i], z[b + i]
+        z[i] = phi[0, i] * one + phi[1, i] * two + held[i] * count
+        z[b + i] = phi[2, i] * one + phi[3, i] * two + held[b + i] * count
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+def _dot(row, z):
+    total = 0.0
+    for i in range(z.size):
+        total += row[i] * z[i]
+    return total
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+def _dot2(one, two, z):
+    first, second = 0.0, 0.0
+    for i in range(z.size):
+        first += one[i] * z[i]
+        second += two[i] * z[i]
+    return first, second
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _chain(plan, state, command, h):
+    for slot in range(plan.first[COMMAND], plan.first[COMMAND + 1]):
+        command = call_law(plan.slots[slot, 1], command, 0.0, plan.limit,
+                           element(plan.arguments, plan.slots[slot, 2]), element(state.effects, plan.slots[slot, 3]), h)
+    return command
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _port_sum(plan, state, stage, port, x, v, w):
+    total = 0.0
+    for slot in range(plan.first[stage], plan.first[stage + 1]):
+        if plan.slots[slot, 0] == port:
+            total += call_law(plan.slots[slot, 1], x, v, w, element(plan.arguments, plan.slots[slot, 2]),
+                              element(state.effects, plan.slots[slot, 3]), plan.h)
+    return total
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _beyond_gap(plan, state, port, deflection):
+    for slot in range(plan.first[GAP], plan.first[GAP + 1]):
+        if plan.slots[slot, 0] == port:
+            deflection = call_law(plan.slots[slot, 1], deflection, 0.0, 0.0,
+                                  element(plan.arguments, plan.slots[slot, 2]),
+                                  element(state.effects, plan.slots[slot, 3]), plan.h)
+    return deflection
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _joint_torque(plan, state, port, deflection, speed):
+    """Torque of a joint with all its effects (pulling its two sides together), N m."""
+    beyond = _beyond_gap(plan, state, port, deflection)
+    engaged = beyond != 0.0 or plan.first[GAP + 1] == plan.first[GAP]
+    torque = plan.joint_stiffness[port] * beyond + _port_sum(plan, state, SPRING, port, beyond, speed, 0.0)
+    if engaged:
+        torque += plan.joint_damping[port] * speed
+    return torque
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _mean_joint_torque(plan, state, port, old_angle, angle, old_speed, speed):
+    """Joint torque over a step, N m: at its middle, or, where contact is made or lost, its mean over CROSSINGS points.
+
+    A joint with a gap takes up its damper's torque at once at contact, so the share of the step in contact counts.
+    """
+    points = 1
+    if plan.first[GAP + 1] > plan.first[GAP]:
+        before = _beyond_gap(plan, state, port, old_angle)
+        after = _beyond_gap(plan, state, port, angle)
+        if (before > 0.0) != (after > 0.0) or (before < 0.0) != (after < 0.0):
+            points = CROSSINGS
+    total = 0.0
+    for k in range(points):
+        share = (k + 0.5) / points
+        total += _joint_torque(plan, state, port, old_angle + share * (angle - old_angle),
+                               old_speed + share * (speed - old_speed))
+    return total / points
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _solve_ports(plan, state, free_angle, free_speed, old_angle, old_speed):
+    """Port torques over this step, written to state.torque."""
+    ports = plan.port_joint.size
+    torque = state.torque
+    zero = state.last[2]
+    for _ in range(MAX_ITERATIONS):
+        change = 0.0
+        for p in range(ports):
+            angle, speed = free_angle[p], free_speed[p]
+            for q in range(ports):
+                angle += plan.angle_gain[p, q] * torque[q]
+                speed += plan.speed_gain[p, q] * torque[q]
+            middle, mean = 0.5 * (old_angle[p] + angle), 0.5 * (old_speed[p] + speed)
+            if plan.port_joint[p] == 1:
+                linear = plan.joint_stiffness[p] * middle + plan.joint_damping[p] * mean
+                wanted = linear - _mean_joint_torque(plan, state, p, old_angle[p], angle, old_speed[p], speed)
+            else:
+                wanted = _port_sum(plan, state, TORQUE, p, middle + zero, mean, 0.0)
+                load = 0.0
+                if plan.load_port >= 0:
+                    j = plan.load_port
+                    a, s = free_angle[j], free_speed[j]
+                    for q in range(ports):
+                        a += plan.angle_gain[j, q] * torque[q]
+                        s += plan.speed_gain[j, q] * torque[q]
+                    load = abs(_mean_joint_torque(plan, state, j, old_angle[j], a, old_speed[j], s))
+                hold = _port_sum(plan, state, FRICTION, p, 0.0, 0.0, load)
+                if hold > 0.0:
+                    loose = speed + plan.speed_gain[p, p] * (wanted - torque[p])
+                    needed = -loose / plan.speed_gain[p, p]
+                    if abs(needed) <= hold:
+                        wanted += needed
+                    else:
+                        level = _port_sum(plan, state, FRICTION, p, abs(mean), 0.0, load)
+                        wanted += -level if loose > 0.0 else level
+            change = max(change, abs(wanted - torque[p]) * plan.speed_gain[p, p])
+            torque[p] = wanted
+        if change < TOLERANCE:
+            break
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _observe(plan, state, fresh):
+    """Note base angle and filtered tip acceleration at the present instant in the rings."""
+    angle, accel = _dot2(plan.base_angle, plan.tip_acceleration, state.z)
+    accel += plan.tip_feedthrough * state.last[0]
+    for p in range(plan.port_joint.size):
+        accel += plan.port_tip[p] * state.torque[p]
+    if plan.first[ACCEL_INPUT + 1] > plan.first[ACCEL_INPUT]:
+        speed = _dot(plan.base_speed, state.z)
+        for slot in range(plan.first[ACCEL_INPUT], plan.first[ACCEL_INPUT + 1]):
+            accel += call_law(plan.slots[slot, 1], speed, 0.0, plan.length,
+                              element(plan.arguments, plan.slots[slot, 2]),
+                              element(state.effects, plan.slots[slot, 3]), plan.h)
+    for slot in range(plan.first[ACCEL_FILTER], plan.first[ACCEL_FILTER + 1]):
+        k = slot - plan.first[ACCEL_FILTER]
+        before = accel if fresh else state.last[3 + k]
+        state.last[3 + k] = accel
+        accel = call_law(plan.slots[slot, 1], accel, before, 0.0, element(plan.arguments, plan.slots[slot, 2]),
+                         element(state.effects, plan.slots[slot, 3]), plan.h)
+    place = state.clock[2] + 1
+    if place == state.angles.size:
+        place = 0
+    state.clock[2] = place
+    state.angles[place] = angle
+    state.accels[place] = accel
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def _late(ring, place, delay):
+    if delay == 0.0:
+        return ring[place]
+    whole = int(delay)
+    part = delay - whole
+    i = (place - whole) % ring.size
+    j = (place - whole - 1) % ring.size
+    return ring[i] + part * (ring[j] - ring[i])
+
+
+@njit(cache=True, nogil=True, forceinline=True)
+def sense(plan, state, offset, rounding):
+    """Encoder and accelerometer at this tick, counts."""
+    angle = _late(state.angles, state.clock[2], plan.encoder_delay)
+    encoder = angle * plan.counts_per_radian
+    for slot in range(plan.first[ENCODER], plan.first[ENCODER + 1]):
+        encoder += call_law(plan.slots[slot, 1], angle + state.last[2], 0.0, 0.0,
+                            element(plan.arguments, plan.slots[slot, 2]),
+                            element(state.effects, plan.slots[slot, 3]), plan.h)
+    accel = _late(state.accels, state.clock[2], plan.accel_delay) * plan.counts_per_acceleration + offset
+    for slot in range(plan.first[ACCEL_COUNTS], plan.first[ACCEL_COUNTS + 1]):
+        accel = call_law(plan.slots[slot, 1], accel, 0.0, 0.0, element(plan.arguments, plan.slots[slot, 2]),
+                         element(state.effects, plan.slots[slot, 3]), plan.h)
+    if rounding:
+        return math.floor(encoder + 0.5), math.floor(accel + 0.5)
+    return encoder, accel
+
+
+@njit(cache=True, nogil=True)
+def _advance(plan, state, command, work):
+    """Hold a command over one period, with ports, delays and filters."""
+    place = state.clock[1] + 1
+    if place == state.commands.size:
+        place = 0
+    state.clock[1] = place
+    state.commands[place] = command
+    new = state.commands[(place - plan.whole_delay) % state.commands.size]
+    old = state.commands[(place - plan.whole_delay - 1) % state.commands.size]
+    z, ports, size = state.z, plan.port_joint.size, state.z.size
+    for step in range(plan.substeps):
+        extra = 0.0
+        if step == plan.switch:
+            before = _chain(plan, state, old, plan.switch_time)
+            count = _chain(plan, state, new, plan.h - plan.switch_time)
+            extra = before - count
+        else:
+            count = _chain(plan, state, old if step < plan.switch else new, plan.h)
+        for p in range(ports):
+            work[2, p], work[3, p] = _dot2(plan.port_angle[p], plan.port_speed[p], z)
+        _propagate(plan.phi, plan.held, z, count)
+        if extra != 0.0:
+            for i in range(size):
+                z[i] += plan.switched[i] * extra
+        state.last[0] = count
+        if ports > 0:
+            for p in range(ports):
+                work[0, p], work[1, p] = _dot2(plan.port_angle[p], plan.port_speed[p], z)
+            _solve_ports(plan, state, work[0], work[1], work[2], work[3])
+            for p in range(ports):
+                for i in range(size):
+                    z[i] += plan.port_held[p, i] * state.torque[p]
+        _observe(plan, state, False)
+    state.clock[0] += 1
+
+
+@njit(cache=True, nogil=True)
+def begin(plan, state):
+    """First look at the sensors: fills the rings so that readings before t = delay are the starting one."""
+    _observe(plan, state, True)
+    place = state.clock[2]
+    for i in range(state.angles.size):
+        state.angles[i] = state.angles[place]
+        state.accels[i] = state.accels[place]
+
+
+@njit(cache=True, nogil=True)
+def tick(plan, state, command, offset, rounding, work, out):
+    """Hold a command to the next tick and read the sensors there: out = encoder, accel (counts)."""
+    _advance(plan, state, command, work)
+    out[0], out[1] = sense(plan, state, offset, rounding)
+
+
+@njit(cache=True, nogil=True)
+def run_ticks(plan, state, controller, reference, command, closed, command_row, offset, rounding, round_command,
+              encoder, accel, history):
+    """One whole test; writes command (where closed), encoder, accel (n) and, where asked, history (n, 2b)."""
+    rows = reference.size
+    work = np.zeros((4, max(plan.port_joint.size, 1)))
+    num, den = controller.numerator, controller.denominator
+    anum, aden = controller.accel_numerator, controller.accel_denominator
+    e, v = np.zeros(num.size), np.zeros(num.size)
+    g, w = np.zeros(max(aden.size, 1)), np.zeros(max(aden.size, 1))
+    plain = (plan.substeps == 1 and plan.port_joint.size == 0 and plan.slots.shape[0] == 0 and plan.switch < 0
+             and plan.whole_delay == 0 and plan.encoder_delay == 0.0 and plan.accel_delay == 0.0)
+    z = state.z
+    begin(plan, state)
+    for row in range(rows):
+        if plain:
+            angle, y = _dot2(plan.base_angle, plan.tip_acceleration, z)
+            y += plan.tip_feedthrough * state.last[0]
+            theta, y = angle * plan.counts_per_radian, y * plan.counts_per_acceleration + offset
+            if rounding:
+                theta, y = math.floor(theta + 0.5), math.floor(y + 0.5)
+            encoder[row], accel[row] = theta, y
+        else:
+            encoder[row], accel[row] = sense(plan, state, offset, rounding)
+        if history.shape[0] > 0:
+            history[row] = z
+        if closed:
+            out = 0.0
+            source = row + command_row
+            if source >= 0:
+                target = reference[row]
+                if aden.size > 0:
+                    for k in range(aden.size - 1, 0, -1):
+                        g[k], w[k] = g[k - 1], w[k - 1]
+                    g[0] = accel[source] - controller.accel_zero
+                    shaped = anum[0] * g[0]
+                    for k in range(1, aden.size):
+                        shaped += anum[k] * g[k] - aden[k] * w[k]
+                    w[0] = shaped
+                    target -= shaped
+                for k in range(num.size - 1, 0, -1):
+                    e[k], v[k] = e[k - 1], v[k - 1]
+                e[0] = target - encoder[source]
+                out = num[0] * e[0]
+                for k in range(1, num.size):
+                    out += num[k] * e[k] - den[k] * v[k]
+                out = min(max(out, -plan.limit), plan.limit)
+                v[0] = out
+                if round_command:
+                    out = math.floor(out + 0.5)
+            command[row] = out
+        if plain:
+            _propagate(plan.phi, plan.held, z, command[row])
+            state.last[0] = command[row]
+        else:
+            _advance(plan, state, command[row], work)
