@@ -14,7 +14,7 @@ MAX_EXTRA_COLUMNS = 64
 
 @dataclass(frozen=True)
 class Column:
-    """One column: its unit, whether it holds integers, whether a run must have it, whether NaN may stand in it."""
+    """One column: unit, meaning, whether it holds integers, must be there, may hold NaN."""
 
     name: str
     unit: str
@@ -40,7 +40,7 @@ COLUMNS = (
 )
 BY_NAME = {column.name: column for column in COLUMNS}
 REQUIRED = tuple(column.name for column in COLUMNS if column.required)
-# The order of a row in the live log, and the field numbers 1, 2, ... of its protobuf message: never reordered.
+# The order of a row in the live log and the field numbers 1, 2, ... of its message: never reordered.
 LOG_COLUMNS = ("n", "t", "reference", "command", "encoder", "accel", "device_time", "host_time", "status",
                "command_sent", "latency", "slack")
 
@@ -66,7 +66,7 @@ def name_fault(names: Iterable[str]) -> str | None:
 
 
 def as_columns(columns: Mapping[str, object]) -> tuple[dict[str, np.ndarray], str | None]:
-    """Turn columns into float64 (integer columns: int64) arrays; the second value says what is wrong, or None."""
+    """Columns as float64 arrays (integer columns: int64); the second value says what is wrong, or None."""
     fault = name_fault(columns)
     if fault:
         return {}, fault
@@ -104,7 +104,7 @@ def as_columns(columns: Mapping[str, object]) -> tuple[dict[str, np.ndarray], st
 
 
 def time_fault(t: np.ndarray, n: np.ndarray | None) -> str | None:
-    """Say where t is not index / sample_rate, or None.  The index is n where there is one (ticks may be lost)."""
+    """Say where t is not index / sample_rate, or None.  The index is n where there is one: ticks may be lost."""
     index = np.arange(len(t)) if n is None else n
     steps = np.diff(index)
     if np.any(steps <= 0):

@@ -22,7 +22,7 @@ def check_input(path: str | os.PathLike[str]) -> Path:
         with path.open("rb"):
             pass
     except (OSError, ValueError) as error:
-        raise WorkError(f"{path}: cannot be read ({_reason(error)})") from None
+        raise WorkError(f"{path}: cannot be read ({reason(error)})") from None
     if size == 0:
         raise WorkError(f"{path}: the file is empty")
     if size > MAX_FILE_BYTES:
@@ -31,7 +31,7 @@ def check_input(path: str | os.PathLike[str]) -> Path:
 
 
 def check_output(path: str | os.PathLike[str], overwrite: bool = False) -> Path:
-    """The path of an output that may be made; WorkError where the folder is missing or a file is in the way."""
+    """The path of an output; WorkError where the folder is missing or a file is in the way."""
     path = Path(path)
     if not path.parent.is_dir():
         raise WorkError(f"{path}: the folder {path.parent} does not exist")
@@ -51,10 +51,11 @@ def new_file(path: str | os.PathLike[str], overwrite: bool = False) -> Iterator[
         yield part
         os.replace(part, path)
     except OSError as error:
-        raise WorkError(f"{path}: cannot be written ({_reason(error)})") from None
+        raise WorkError(f"{path}: cannot be written ({reason(error)})") from None
     finally:
         part.unlink(missing_ok=True)
 
 
-def _reason(error: Exception) -> str:
+def reason(error: Exception) -> str:
+    """The operating system's own words for a failure, without the path."""
     return getattr(error, "strerror", None) or str(error)

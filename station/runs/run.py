@@ -20,8 +20,8 @@ MAX_METADATA_BYTES = 1 << 20
 class RunMetadata(BaseModel):
     """What is known about a run; unknown keys are kept as they are.
 
-    ``rounding`` is False where the logged command was not rounded; ``accel_zero`` is the accelerometer's mean at
-    rest (counts) that the compensator took off; ``command_row`` and ``start`` are explained in the contract.
+    ``rounding`` is False where the logged command was not rounded; ``accel_zero`` (counts) is the
+    accelerometer's mean at rest that the compensator took off.
     """
 
     model_config = ConfigDict(extra="allow")
@@ -39,7 +39,7 @@ class RunMetadata(BaseModel):
     accel_zero: float = Field(default=0.0, allow_inf_nan=False)
 
     def entries(self) -> dict[str, Any]:
-        """The keys that say something, ready for JSON: those declared and not None, then the kept unknown ones."""
+        """The keys that say something: those declared and not None, then the unknown ones kept."""
         return {key: value for key, value in self.model_dump().items()
                 if value is not None or key not in type(self).model_fields}
 
@@ -97,10 +97,10 @@ def parse_json(label: str, text: str) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Columns are one-dimensional float arrays of equal length (n and status: integers); units in ``columns.py``.
+    """Columns are one-dimensional arrays of equal length, floats (n and status: integers); units in ``columns.py``.
 
-    ``extra`` holds columns of a log beyond those of every run, by name.  Raises WorkError, one line that names
-    run, column and row (counted from 0), where lengths differ, a number is not finite or time is irregular.
+    ``extra`` holds a log's columns beyond those of every run, by name.  Raises WorkError, one line that names
+    run, column and row (from 0), where lengths differ, a number is not finite or time is irregular.
     """
 
     name: str
@@ -185,11 +185,11 @@ class Run:
         return int(np.argmax(moved)) if moved.any() else len(self)
 
     def noise_sigma(self, channel: str = "accel", least_rows: int = 10) -> float | None:
-        """Standard deviation (counts) of a channel over the rest before the test; None where that is too short.
+        """Standard deviation (counts) of a channel at rest before the test; None where that is too short.
 
         Rounding to whole counts is part of it: a quiet channel may show 0.
         """
         values, rows = self.columns().get(channel), self.rest_rows()
         if values is None or rows < least_rows:
             return None
-        return float(np.std(values[:rows], ddof=1))
+        return float(np.std(values[:rows] - values[0], ddof=1))

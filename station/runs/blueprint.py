@@ -1,0 +1,61 @@
+"""How Rerun draws a log: its views and what stands in them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from station.errors import WorkError
+from station.runs.files import reason
+
+if TYPE_CHECKING:
+    import rerun.blueprint as rrb
+
+# view name, columns, in the order drawn
+VIEWS = (
+    ("Angle (counts)", ("reference", "reference_shaped", "encoder")),
+    ("Command (counts)", ("command", "command_sent")),
+    ("Acceleration (counts)", ("accel",)),
+    ("Timing (s)", ("latency", "slack")),
+)
+COLOURS = {"reference": 0x888888FF, "reference_shaped": 0xBBBBBBFF, "encoder": 0x1F77B4FF, "command": 0xD62728FF,
+           "command_sent": 0xFF9896FF, "accel": 0x2CA02CFF, "latency": 0x9467BDFF, "slack": 0x8C564BFF}
+
+
+def blueprint_path(path: Path) -> Path:
+    """The blueprint that goes with a log: the same name, ``.rbl``."""
+    return path.with_suffix(".rbl")
+
+
+def write_blueprint(path: Path, columns: Sequence[str]) -> None:
+    """Write the blueprint of the MCAP log of the same name; Rerun knows a recording by its file's stem.
+
+    Each line is one field of the message ``station.Sample`` on ``/sample``, chosen by a component mapping.
+    """
+    import rerun.blueprint as rrb
+
+    views = [_view(name, [column for column in wanted if column in columns]) for name, wanted in VIEWS
+             if any(column in columns for column in wanted)]
+    blueprint = rrb.Blueprint(rrb.Vertical(*views), rrb.TimePanel(state="collapsed", timeline="message_log_time"))
+    try:
+        path.unlink(missing_ok=True)
+        blueprint.save(path.stem, os.fspath(path))
+    except OSError as error:
+        raise WorkError(f"{path}: cannot be written ({reason(error)})") from None
+
+
+def _view(name: str, columns: Sequence[str]) -> rrb.TimeSeriesView:
+    import rerun as rr
+    import rerun.blueprint as rrb
+    from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
+
+    lines = []
+    for column in columns:
+        line = rr.SeriesLines(colors=COLOURS[column], names=column, widths=1.5).visualizer()
+        line.mappings = [VisualizerComponentMapping("Scalars:scalars", ComponentSourceKind.SourceComponent,
+                                                    source_component="station.Sample:message",
+                                                    selector=f".{column}")]
+        lines.append(line)
+    return rrb.TimeSeriesView(origin="/", contents="/sample", name=name, overrides={"/sample": lines})

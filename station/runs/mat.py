@@ -1,0 +1,83 @@
+"""Runs as MATLAB files (version 5): one numeric variable for each column, the metadata as JSON text."""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import scipy.io
+
+from station.errors import WorkError
+from station.runs.columns import MAX_ROWS, name_fault
+from station.runs.files import check_input, new_file, reason
+from station.runs.run import MAX_METADATA_BYTES, Run, RunMetadata
+
+_NUMERIC = {"double", "single", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"}
+_HEADER_BYTES = 128
+_COMPRESSED = 15
+_MAX_VARIABLE_BYTES = 8 * MAX_ROWS + 4096
+
+
+def read_mat(path: str | os.PathLike[str]) -> Run:
+    """Read a run; WorkError, one line naming file and variable.  Objects, structs and cells are refused unread."""
+    path = check_input(path)
+    label = str(path)
+    try:
+        _check_sizes(path)
+        found = {name: (shape, kind) for name, shape, kind in scipy.io.whosmat(path)}
+        for name, (shape, kind) in found.items():
+            _check_variable(label, name, shape, kind)
+        fault = name_fault(name for name in found if name != "metadata")
+        if fault:
+            raise WorkError(f"{label}: {fault}")
+        values = scipy.io.loadmat(path, variable_names=list(found), chars_as_strings=True)
+    except WorkError:
+        raise
+    except Exception as error:  # scipy's reader raises whatever its parts raise on a damaged file
+        raise WorkError(f"{label}: not a readable MATLAB 5 file ({reason(error)[:120]})") from None
+    text = values.pop("metadata", np.array(["{}"])) if "metadata" in found else np.array(["{}"])
+    columns = {name: np.ravel(values[name]) for name in found if name != "metadata"}
+    metadata = RunMetadata.from_json(label, str(text[0]) if text.size else "{}")
+    return Run.from_columns(label, path.stem, columns, metadata)
+
+
+def _check_variable(label: str, name: str, shape: tuple[int, ...], kind: str) -> None:
+    if name == "metadata":
+        if kind != "char" or len(shape) != 2 or shape[0] > 1 or shape[1] > MAX_METADATA_BYTES:
+            raise WorkError(f"{label}: metadata: one line of text of at most {MAX_METADATA_BYTES} is wanted")
+    elif kind not in _NUMERIC:
+        raise WorkError(f"{label}: variable {name[:40]!r} is a {kind}; a run holds numbers alone")
+    elif len(shape) != 2 or min(shape) != 1 or max(shape) > MAX_ROWS:
+        raise WorkError(f"{label}: variable {name[:40]!r}: one column of at most {MAX_ROWS} numbers is wanted")
+
+
+def _check_sizes(path: Path) -> None:
+    """Refuse a variable whose compressed data would grow beyond what a column can need."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        header = file.read(_HEADER_BYTES)
+        order = "<" if header[-2:] == b"IM" else ">"
+        while len(tag := file.read(8)) == 8:
+            kind, length = struct.unpack(f"{order}II", tag)
+            if length > size:
+                raise WorkError(f"{path}: not a readable MATLAB 5 file (half a variable)")
+            if kind != _COMPRESSED:
+                file.seek(length, os.SEEK_CUR)
+                continue
+            inflate, grown = zlib.decompressobj(), 0
+            data = file.read(length)
+            while data:
+                grown += len(inflate.decompress(data, 1 << 20))
+                data = inflate.unconsumed_tail
+                if grown > _MAX_VARIABLE_BYTES:
+                    raise WorkError(f"{path}: a variable of more than {_MAX_VARIABLE_BYTES} bytes")
+
+
+def write_mat(run: Run, path: str | os.PathLike[str], overwrite: bool = False) -> None:
+    """Write a run; numbers are kept bit by bit, columns stand upright."""
+    with new_file(Path(path), overwrite) as part, part.open("wb") as file:
+        scipy.io.savemat(file, {**run.columns(), "metadata": run.metadata.to_json()},
+                         do_compression=True, oned_as="column")

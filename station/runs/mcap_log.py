@@ -1,0 +1,229 @@
+"""The native form of a run: one MCAP file of protobuf messages, appended as the run goes.
+
+The file is a header, a metadata record, then small chunks, each on disk within 50 ms; the first chunk holds both
+message descriptions and the metadata once more.  It can be read to its last whole record whatever happens to the
+rest (``mcap_read.py``).
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO
+
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.writer import LIBRARY_IDENTIFIER, Writer
+
+from station.errors import WorkError
+from station.runs.blueprint import blueprint_path, write_blueprint
+from station.runs.columns import LOG_COLUMNS, name_fault
+from station.runs.files import check_output, new_file, reason
+from station.runs.run import Run, RunMetadata
+from station.runs.schema import (
+    METADATA,
+    METADATA_RECORD,
+    SAMPLE,
+    message_class,
+    metadata_schema,
+    sample_schema,
+)
+
+FLUSH_SECONDS = 0.05
+SYNC_SECONDS = 1.0
+CAPACITY = 65536
+
+
+class _Encoder:
+    """Rows and metadata into MCAP records on a stream."""
+
+    def __init__(self, stream: BinaryIO, metadata: RunMetadata, columns: Sequence[str]) -> None:
+        self.writer = Writer(stream)
+        self.columns = tuple(columns)
+        self.time_index = self.columns.index("t")
+        schema = sample_schema(self.columns)
+        self.sample = message_class(SAMPLE, schema)
+        self.metadata = message_class(METADATA, metadata_schema())
+        self.rows = 0
+        self.now = 0
+        self.writer.start(library=f"station {LIBRARY_IDENTIFIER}")
+        self._record(metadata)
+        ids = [self.writer.register_schema(name, SchemaEncoding.Protobuf, data)
+               for name, data in ((SAMPLE, schema), (METADATA, metadata_schema()))]
+        self.sample_channel = self.writer.register_channel("/sample", MessageEncoding.Protobuf, ids[0])
+        self.metadata_channel = self.writer.register_channel("/metadata", MessageEncoding.Protobuf, ids[1])
+        self._message(metadata)
+        self.writer.flush()
+
+    def _record(self, metadata: RunMetadata) -> None:
+        self.writer.add_metadata(METADATA_RECORD, {"json": metadata.to_json()})
+
+    def _message(self, metadata: RunMetadata) -> None:
+        data = self.metadata(json=metadata.to_json()).SerializeToString()
+        self.writer.add_message(self.metadata_channel, self.now, data, self.now)
+
+    def row(self, row: Sequence[float]) -> None:
+        data = self.sample(**dict(zip(self.columns, row, strict=True))).SerializeToString()
+        self.now = max(round(row[self.time_index] * 1e9), 0)
+        self.writer.add_message(self.sample_channel, self.now, data, self.now, self.rows & 0xFFFFFFFF)
+        self.rows += 1
+
+    def finish(self, changed: RunMetadata | None) -> None:
+        if changed is not None:
+            self._message(changed)
+            self.writer.flush()
+            self._record(changed)
+        self.writer.finish()
+
+
+class McapLogWriter:
+    """Write a run as it goes, off the sample path.
+
+    ``append`` puts a row on a bounded queue; a thread writes the rows every 50 ms and syncs the file once a
+    second.  A full queue makes ``append`` wait (``waits`` counts how often); no row is ever dropped.  When the
+    disk fails, the next ``append`` or ``close`` raises WorkError; what was written stays readable.
+
+    ``columns`` names the values of a row; the default is LOG_COLUMNS (n, t, reference, command, encoder, accel,
+    device_time, host_time, status, command_sent, latency, slack).  n and status are integers; command_sent,
+    latency and slack may be NaN.  ``metadata`` may be replaced until ``close`` (``update``).
+    """
+
+    def __init__(self, path: str | os.PathLike[str], metadata: RunMetadata, *,
+                 columns: Sequence[str] = LOG_COLUMNS, capacity: int = CAPACITY, overwrite: bool = False,
+                 blueprint: bool = True) -> None:
+        self.path = check_output(path, overwrite)
+        fault = name_fault(columns)
+        if fault:
+            raise WorkError(f"{self.path}: {fault}")
+        self.waits = 0
+        self._capacity, self._blueprint = capacity, blueprint
+        self._queue: deque[Sequence[float]] = deque()
+        self._columns = tuple(columns)
+        self._changed: RunMetadata | None = None
+        self._failure: Exception | None = None
+        self._closing = False
+        self._wake, self._drained = threading.Event(), threading.Event()
+        try:
+            self._file = self.path.open("wb" if overwrite else "xb")
+        except OSError as error:
+            raise WorkError(f"{self.path}: cannot be written ({reason(error)})") from None
+        try:
+            self._encoder = _Encoder(self._file, metadata, self._columns)
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            self._file.close()
+            raise WorkError(f"{self.path}: cannot be written ({reason(error)})") from None
+        self._thread = threading.Thread(target=self._work, name="station-log", daemon=True)
+        self._thread.start()
+
+    @property
+    def rows_written(self) -> int:
+        """Rows handed to the file so far."""
+        return self._encoder.rows
+
+    def append(self, row: Sequence[float]) -> None:
+        """Take one row (a tuple in the order of ``columns``); waits only where the queue is full."""
+        if self._closing:
+            raise WorkError(f"{self.path}: the log is closed")
+        self._queue.append(row)
+        if len(self._queue) >= self._capacity:
+            self._wait()
+        if self._failure is not None:
+            raise self._failed()
+
+    def _wait(self) -> None:
+        self.waits += 1
+        while len(self._queue) >= self._capacity and self._failure is None:
+            self._drained.clear()
+            self._wake.set()
+            self._drained.wait(0.01)
+
+    def update(self, metadata: RunMetadata) -> None:
+        """Replace the metadata; written at ``close``."""
+        self._changed = metadata
+
+    def _failed(self) -> WorkError:
+        lost = len(self._queue)
+        return WorkError(f"{self.path}: the log cannot be written ({reason(self._failure)}); "
+                         f"{self.rows_written} rows are in the file, {lost} are lost")
+
+    def _work(self) -> None:
+        try:
+            synced = time.monotonic()
+            while True:
+                closing = self._closing
+                self._wake.wait(0.0 if closing else FLUSH_SECONDS)
+                self._wake.clear()
+                self._drain()
+                if closing:
+                    return
+                if time.monotonic() - synced >= SYNC_SECONDS:
+                    os.fsync(self._file.fileno())
+                    synced = time.monotonic()
+        except Exception as error:  # whatever it was, the thread that appends must hear of it
+            self._failure = error
+            self._drained.set()
+
+    def _drain(self) -> None:
+        queue = self._queue
+        rows = len(queue)
+        for _ in range(rows):
+            self._encoder.row(queue[0])
+            queue.popleft()
+        if rows:
+            self._encoder.writer.flush()
+            self._drained.set()
+
+    def close(self, metadata: RunMetadata | None = None) -> None:
+        """Write what is left, the closing records and the blueprint; ``metadata`` replaces the first one."""
+        if self._closing:
+            return
+        if metadata is not None:
+            self.update(metadata)
+        self._closing = True
+        self._wake.set()
+        self._thread.join()
+        try:
+            if self._failure is None:
+                self._encoder.finish(self._changed)
+                self._file.flush()
+                os.fsync(self._file.fileno())
+        except OSError as error:
+            self._failure = error
+        finally:
+            try:
+                self._file.close()
+            except OSError as error:
+                self._failure = self._failure or error
+        if self._failure is not None:
+            raise self._failed()
+        if self._blueprint:
+            write_blueprint(blueprint_path(self.path), self._columns)
+
+    def __enter__(self) -> McapLogWriter:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        try:
+            self.close()
+        except WorkError:
+            if error is None:
+                raise
+
+
+def write_mcap(run: Run, path: str | os.PathLike[str], overwrite: bool = False, blueprint: bool = True) -> None:
+    """Write a whole run in the native form, and its blueprint beside it."""
+    path = Path(path)
+    columns = run.columns()
+    with new_file(path, overwrite) as part, part.open("wb") as file:
+        encoder = _Encoder(file, run.metadata, tuple(columns))
+        for row in zip(*(values.tolist() for values in columns.values()), strict=True):
+            encoder.row(row)
+        encoder.finish(None)
+    if blueprint:
+        write_blueprint(blueprint_path(path), tuple(columns))

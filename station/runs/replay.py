@@ -1,0 +1,119 @@
+"""A log's commands worked out again from its own reference and readings by its own compensator.
+
+This is how the conventions of a log are checked: which row's readings a command came from (``command_row``),
+whether the recursion runs on the limited output, whether the log was rounded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from station.control.compensators import Compensator
+from station.errors import UsageError, WorkError
+from station.runs.run import Run
+
+SHAPED = "reference_shaped"
+_AFTER_ACCEL_LOOP = ("gain", "zero", "pole", "rounding")
+
+
+@dataclass(frozen=True)
+class ReplayResult:
+    """Commands worked out again, against those logged (counts).
+
+    ``row`` is where the difference is largest; ``first_row`` the first row beyond ``tolerance`` (None: there is
+    none), ``rows_beyond`` how many there are; ``note`` says what the difference points to.
+    """
+
+    commands: np.ndarray
+    max_abs_difference: float
+    row: int
+    tolerance: float
+    first_row: int | None
+    rows_beyond: int
+    note: str
+
+    @property
+    def same(self) -> bool:
+        """Whether every command lies within the tolerance."""
+        return self.first_row is None
+
+
+def amplifier_limit(run: Run) -> float:
+    """The command limit (counts) of the rig that the run's metadata describe; UsageError where they only name it."""
+    rig = run.metadata.rig
+    try:
+        return float(rig["amplifier"]["limit"])  # type: ignore[index]
+    except (TypeError, KeyError, ValueError):
+        raise UsageError(f"{run.name}: the run does not hold its rig's amplifier.limit; name the rig") from None
+
+
+def replay_commands(run: Run, limit: float | None = None, *, shaped: bool = False) -> np.ndarray:
+    """The commands (counts) that the run's compensator gives for its logged reference, encoder and accelerometer.
+
+    Row i comes from the reference of row i and the readings of row i + command_row; before the first readings
+    the command is 0.  ``limit`` (counts) defaults to that of the rig in the metadata.  With ``shaped`` the logged
+    reference after the accelerometer loop is used, and the rest of the compensator alone.  Rounded half up
+    where the log is; the recursion never is.
+    """
+    run.require_unbroken()
+    spec, reference = dict(run.metadata.controller), run.reference
+    if shaped:
+        if SHAPED not in run.extra:
+            raise WorkError(f"{run.name}: the log has no column {SHAPED}")
+        reference = run.extra[SHAPED]
+        spec = {"kind": "lead", **{key: spec[key] for key in _AFTER_ACCEL_LOOP if key in spec}}
+    compensator = Compensator.from_spec(spec, run.sample_rate, amplifier_limit(run) if limit is None else limit)
+    compensator.reset(float(spec.get("accel_zero", run.metadata.accel_zero)))
+    accel = run.accel
+    if accel is None:
+        if compensator.accel_denominator.size:
+            raise WorkError(f"{run.name}: the compensator reads an accelerometer, the run has none")
+        accel = np.zeros(len(run))
+    late = 0 if compensator.open_loop else -run.metadata.command_row
+    commands = np.zeros(len(run))
+    readings = zip(run.encoder.tolist(), accel.tolist(), strict=True)
+    for row, (target, reading) in enumerate(zip(reference[late:].tolist(), readings, strict=False), start=late):
+        commands[row] = compensator.step(target, *reading)
+    return np.floor(commands + 0.5) if _rounded(run) else commands
+
+
+def compare_replay(run: Run, limit: float | None = None, *, shaped: bool = False,
+                   tolerance: float = 1e-3) -> ReplayResult:
+    """Replay a run and say where, and why, its logged commands are not the compensator's."""
+    limit = amplifier_limit(run) if limit is None else limit
+    commands = replay_commands(run, limit, shaped=shaped)
+    difference = np.abs(commands - run.command)
+    beyond = np.flatnonzero(difference > tolerance)
+    return ReplayResult(commands, float(difference.max()), int(np.argmax(difference)), tolerance,
+                        int(beyond[0]) if beyond.size else None, int(beyond.size),
+                        _note(run, commands, beyond, limit, shaped))
+
+
+def _note(run: Run, commands: np.ndarray, beyond: np.ndarray, limit: float, shaped: bool) -> str:
+    if not beyond.size:
+        return "every command is the compensator's"
+    first = int(beyond[0])
+    if run.status is not None and np.all(run.status[beyond] != run.status[0]):
+        return f"the device reports another status wherever they differ, from row {first} on: late or held ticks"
+    left = float(np.sum(np.abs(commands - run.command)))
+    for row in range(0, -3, -1):
+        if row != run.metadata.command_row and run.metadata.controller.get("kind") != "open":
+            other = _with(run, command_row=row)
+            if float(np.sum(np.abs(replay_commands(other, limit, shaped=shaped) - run.command))) < 0.1 * left:
+                return f"they fit command_row {row}, the metadata say {run.metadata.command_row}"
+    if not shaped and SHAPED in run.extra:
+        return f"from row {first} on; replay from {SHAPED} tells whether the accelerometer loop's digits do it"
+    if not _rounded(run) and np.array_equal(run.command, np.floor(commands + 0.5)):
+        return "the log was rounded, the metadata say it was not"
+    return f"from row {first} on they are not this compensator's"
+
+
+def _with(run: Run, **metadata: Any) -> Run:
+    return replace(run, metadata=run.metadata.model_copy(update=metadata))
+
+
+def _rounded(run: Run) -> bool:
+    return bool(run.metadata.controller.get("rounding", run.metadata.rounding))

@@ -1,0 +1,163 @@
+"""Runs in and out of files of every form, folders of runs, and the rescue of a log cut short."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from station.errors import UsageError, WorkError
+from station.runs.csv_form import read_csv, write_csv
+from station.runs.files import check_input, check_output, reason
+from station.runs.lab_log import read_lab_log
+from station.runs.mcap_log import write_mcap
+from station.runs.mcap_read import read_mcap, scan_mcap
+from station.runs.run import Run, RunMetadata
+
+_SNIFF_BYTES = 65536
+
+
+def _read_parquet(path: Path) -> Run:
+    from station.runs.parquet import read_parquet
+    return read_parquet(path)
+
+
+def _read_mat(path: Path) -> Run:
+    from station.runs.mat import read_mat
+    return read_mat(path)
+
+
+def _write_parquet(run: Run, path: Path, overwrite: bool) -> None:
+    from station.runs.parquet import write_parquet
+    write_parquet(run, path, overwrite)
+
+
+def _write_mat(run: Run, path: Path, overwrite: bool) -> None:
+    from station.runs.mat import write_mat
+    write_mat(run, path, overwrite)
+
+
+def _write_rrd(run: Run, path: Path, overwrite: bool) -> None:
+    from station.runs.rrd import write_rrd
+    write_rrd(run, path, overwrite)
+
+
+READERS: dict[str, Callable[[Path], Run]] = {
+    ".mcap": read_mcap, ".csv": read_csv, ".parquet": _read_parquet, ".mat": _read_mat, ".txt": read_lab_log,
+}
+WRITERS: dict[str, Callable[[Run, Path, bool], None]] = {
+    ".mcap": write_mcap, ".csv": write_csv, ".parquet": _write_parquet, ".mat": _write_mat, ".rrd": _write_rrd,
+}
+_MAGIC = {b"\x89MCAP0\r\n": ".mcap", b"PAR1": ".parquet", b"MATLAB 5.0 MAT-file": ".mat"}
+_REFUSED = {b"\x89HDF": "a MATLAB 7.3 or HDF5 file; save it with -v7", b"RRF": "a Rerun recording, an export alone"}
+
+
+def _form(path: Path) -> str:
+    """The suffix of the form that the file's first bytes show, whatever its name; WorkError for none."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(_SNIFF_BYTES)
+    except OSError as error:
+        raise WorkError(f"{path}: cannot be read ({reason(error)})") from None
+    for magic, form in _MAGIC.items():
+        if head.startswith(magic):
+            return form
+    for magic, what in _REFUSED.items():
+        if head.startswith(magic):
+            raise WorkError(f"{path}: {what}")
+    if path.suffix.lower() in (".mcap", ".parquet", ".mat"):
+        return path.suffix.lower()
+    header = [line for line in head.splitlines() if line.startswith(b"#")]
+    return ".txt" if header and b"\t" in header[-1] else ".csv"
+
+
+def load_run(path: str | os.PathLike[str]) -> Run:
+    """Read a run from any form that Station reads (MCAP, CSV, a laboratory log, Parquet, MAT), told by content.
+
+    The run's name is the file's without its ending.  Raises WorkError, one line naming the file.
+    """
+    path = check_input(path)
+    return READERS[_form(path)](path)
+
+
+def export_run(run: Run, path: str | os.PathLike[str], overwrite: bool = False) -> None:
+    """Write a run in the form that the suffix names; WorkError where a file is in the way."""
+    path = Path(path)
+    writer = WRITERS.get(path.suffix.lower())
+    if writer is None:
+        raise UsageError(f"{path}: no form has the ending {path.suffix!r}; use one of {', '.join(WRITERS)}")
+    writer(run, path, overwrite)
+
+
+def import_run(source: str | os.PathLike[str], out: str | os.PathLike[str], *, overwrite: bool = False,
+               **known: Any) -> Run:
+    """Read a run and write it anew (``.mcap`` as a rule); ``known`` sets metadata the source does not hold."""
+    run = load_run(source)
+    entries = run.metadata.entries() | {key: value for key, value in known.items() if value is not None}
+    imported = Run.from_columns(str(source), Path(out).stem, run.columns(),
+                                RunMetadata.from_entries(str(source), entries))
+    export_run(imported, out, overwrite)
+    return imported
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """What a rescue found: the rows kept, and why the log ended early (None: it was complete)."""
+
+    rows: int
+    cut_short: str | None
+
+
+def recover(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Recovery:
+    """Complete a log that was cut short, or damaged, into a copy that other programs open; the original stays.
+
+    Raises WorkError where nothing can be read, or ``out`` exists.
+    """
+    path, out = check_input(path), check_output(out)
+    contents = scan_mcap(path, salvage=True)
+    metadata = contents.metadata
+    if contents.cut_short:
+        metadata = metadata.model_copy(update={"recovered": contents.cut_short})
+    write_mcap(Run.from_columns(str(path), out.stem, contents.columns, metadata), out)
+    return Recovery(len(contents.columns["t"]), contents.cut_short)
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """One file of a folder of runs: what it holds, or the line that says why it cannot be read."""
+
+    path: Path
+    rows: int = 0
+    sample_rate: float = 0.0
+    metadata: RunMetadata | None = None
+    problem: str | None = None
+
+    @property
+    def name(self) -> str:
+        """The file's name without its ending."""
+        return self.path.stem
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first row to one period after the last."""
+        return self.rows / self.sample_rate if self.sample_rate else 0.0
+
+
+def list_runs(folder: str | os.PathLike[str]) -> list[RunSummary]:
+    """The runs of a folder, by name; files that look like runs and cannot be read are listed with the reason."""
+    folder = Path(folder)
+    try:
+        paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in READERS and path.is_file())
+    except OSError as error:
+        raise WorkError(f"{folder}: not a folder that can be read ({reason(error)})") from None
+    return [_summary(path) for path in paths]
+
+
+def _summary(path: Path) -> RunSummary:
+    try:
+        run = load_run(path)
+    except WorkError as error:
+        return RunSummary(path, problem=str(error))
+    return RunSummary(path, len(run), run.sample_rate, run.metadata)

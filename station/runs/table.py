@@ -1,0 +1,111 @@
+"""Reading a text table: header lines that begin with #, then rows of numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from station.errors import WorkError
+from station.runs.columns import MAX_ROWS
+from station.runs.files import check_input
+from station.runs.run import MAX_METADATA_BYTES
+
+MAX_LINE = 8192
+
+
+@dataclass(frozen=True)
+class Table:
+    """Header lines without their #, with line numbers; the column names; values, rows by columns."""
+
+    comments: list[tuple[int, str]]
+    names: list[str]
+    values: np.ndarray
+
+
+def read_table(path: Path, delimiter: str, names_in_header: bool) -> Table:
+    """Read a table whose names stand in the last header line, or in the first line after the header.
+
+    Raises WorkError, one line naming file and line, for a line that is too long, not UTF-8, of another
+    number of fields or not a number, and for too many rows.
+    """
+    path = check_input(path)
+    try:
+        with path.open(encoding="utf-8-sig", newline=None) as file:
+            comments, names_line, number = _header(path, file)
+            names = (comments[-1][1] if names_in_header and comments else names_line or "").split(delimiter)
+            names = [name.strip() for name in names]
+            first = [names_line] if names_in_header and names_line is not None else []
+            body = _Body(path, file, first, number)
+            try:
+                values = np.loadtxt(body, delimiter=delimiter, comments=None, ndmin=2, dtype=np.float64)
+            except ValueError:
+                raise _bad_row(path, delimiter, len(names), names_in_header) from None
+    except UnicodeDecodeError:
+        raise WorkError(f"{path}: not UTF-8 text") from None
+    if values.size and values.shape[1] != len(names):
+        raise _bad_row(path, delimiter, len(names), names_in_header)
+    return Table(comments, names, values.reshape(-1, len(names)))
+
+
+def _header(path: Path, file: TextIO) -> tuple[list[tuple[int, str]], str | None, int]:
+    """The lines that begin with #, the first line that does not, and its number."""
+    comments: list[tuple[int, str]] = []
+    room, number = MAX_METADATA_BYTES, 0
+    while line := file.readline(room + 1):
+        number += 1
+        if not line.startswith("#"):
+            if len(line) > MAX_LINE:
+                raise WorkError(f"{path}: line {number} is longer than {MAX_LINE} characters")
+            return comments, line.rstrip("\n"), number
+        room -= len(line)
+        if room < 0:
+            raise WorkError(f"{path}: the header is longer than {MAX_METADATA_BYTES} characters")
+        comments.append((number, line[1:].rstrip("\n")))
+    return comments, None, number
+
+
+class _Body:
+    """The rows' lines, each checked for its length, counted."""
+
+    def __init__(self, path: Path, file: TextIO, first: list[str], number: int) -> None:
+        self.path, self.file, self.first, self.number = path, file, first, number
+
+    def __iter__(self) -> Iterator[str]:
+        rows = len(self.first)
+        yield from self.first
+        while line := self.file.readline(MAX_LINE + 1):
+            self.number += 1
+            rows += 1
+            if len(line) > MAX_LINE:
+                raise WorkError(f"{self.path}: line {self.number} is longer than {MAX_LINE} characters")
+            if rows > MAX_ROWS:
+                raise WorkError(f"{self.path}: more than {MAX_ROWS} rows")
+            if line.isspace():
+                raise WorkError(f"{self.path}: line {self.number} is empty")
+            yield line
+
+
+def _bad_row(path: Path, delimiter: str, fields: int, names_in_header: bool) -> WorkError:
+    """Find the line that numpy refused, to name it."""
+    with path.open(encoding="utf-8-sig", newline=None) as file:
+        header = True
+        for number, line in enumerate(file, start=1):
+            if header and line.startswith("#"):
+                continue
+            if header and not names_in_header:
+                header = False
+                continue
+            header = False
+            cells = line.rstrip("\n").split(delimiter)
+            if len(cells) != fields:
+                return WorkError(f"{path}: line {number}: {len(cells)} fields where {fields} are named")
+            for cell in cells:
+                try:
+                    np.loadtxt([cell], delimiter=delimiter, comments=None)
+                except ValueError:
+                    return WorkError(f"{path}: line {number}: {cell[:40]!r} is not a number")
+    return WorkError(f"{path}: not a table of numbers")
