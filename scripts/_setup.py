@@ -11,7 +11,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / ".venv"
 LOCK = ROOT / "requirements.lock"
-COMPILERS = ("cc", "gcc", "clang", "cl")
+COMPILERS = ("cc", "gcc", "clang")
 
 
 def stop(message):
@@ -26,7 +26,7 @@ def environment_python():
 
 def extras():
     """What to install beyond the dependencies: the tests' tools, and a C compiler where there is none."""
-    found = any(shutil.which(name) for name in COMPILERS)
+    found = os.environ.get("CC") or any(shutil.which(name) for name in COMPILERS)
     return ["test"] if found else ["test", "compiler"]
 
 

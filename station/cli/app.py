@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import typer
 
-from station.cli import demo, devices, diagnosis, files, models, tests
+import station
+from station.cli import devices, files, models
 
 
 def build() -> typer.Typer:
@@ -12,9 +15,19 @@ def build() -> typer.Typer:
     app = typer.Typer(
         name="station", add_completion=True, pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
-        help="Test a rig, find what its simulation gets wrong, name the cause, and measure the gain.",
         epilog="Start here: station demo. Every command has its own --help with an example.")
-    app.callback()(_version)
-    for group in (demo, devices, tests, files, models, diagnosis):
+    app.callback()(_options)
+    for group in (devices, files, models):
         app.add_typer(group.app)
     return app
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"station {station.__version__}")
+        raise typer.Exit
+
+
+def _options(version: Annotated[bool, typer.Option("--version", is_eager=True, callback=_print_version,
+                                                   help="Show the version and exit.")] = False) -> None:
+    """Test a rig, find what its simulation gets wrong, name the cause, and measure the gain."""
