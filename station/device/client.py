@@ -1,0 +1,222 @@
+"""The host's end of the protocol: requests that are answered, and a motor that is brought to rest."""
+
+from __future__ import annotations
+
+import secrets
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+from station.device.framing import Decoder, encode
+from station.device.port import TIMEOUT, Port
+from station.device.protocol import LIMITS, MESSAGE_OF_CODE, MESSAGES, PROTOCOL, BoardFlags, Fault, Result, State, Status
+from station.errors import WorkError
+
+ANSWER_SECONDS = 0.3
+"""So long a request waits for its answer before it is sent again."""
+TRIES = 5
+_IDENTITY = MESSAGES["identity"].code
+_WORDS = {
+    Result.WRONG_STATE: "it is {state}",
+    Result.WRONG_PROTOCOL: "its protocol is another",
+    Result.STALE: "the request is from an earlier connection",
+    Result.NOT_CONFIGURED: "it is not configured since it was last identified",
+    Result.OUT_OF_RANGE: "a value is beyond what its firmware allows",
+    Result.MOVING: "the arm is moving",
+}
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What a device says of itself; rates in Hz, the limit in counts."""
+
+    board: str
+    build: int
+    boot: int
+    zeroings: int
+    clock_hz: int
+    rate_min: float
+    rate_max: float
+    command_limit: int
+    virtual_time: bool
+    reset: int
+    state: State
+
+    @property
+    def zero_id(self) -> str:
+        """Names the encoder's zero: the same until the device is powered down or zeroed."""
+        return f"{self.boot:08x}.{self.zeroings}"
+
+    def summary(self) -> dict[str, Any]:
+        """For a run's metadata."""
+        return {"board": self.board, "build": f"{self.build:08x}", "protocol": PROTOCOL.version,
+                "protocol_hash": f"{PROTOCOL.hash:08x}", "boot": f"{self.boot:08x}",
+                "command_limit": self.command_limit, "clock_hz": self.clock_hz, "virtual_time": self.virtual_time}
+
+
+class Client:
+    """Speaks with the device at a port.  ``session`` is 0 unless a run is on.
+
+    Every method raises WorkError, one line that names the port, where the device does not answer or refuses.
+    """
+
+    def __init__(self, port: Port) -> None:
+        self.port = port
+        self.decoder = Decoder()
+        self.inbox: deque[bytes] = deque()
+        self.session = self.last_session = 0
+        self._challenge = 0
+
+    def send(self, name: str, **values: Any) -> None:
+        """Send one message of scope "link"."""
+        self.port.write(encode(MESSAGES[name].pack(**values)))
+
+    def _request(self, name: str, answer: str, **values: Any) -> Any:
+        """Send until the answer comes; other frames that come meanwhile are kept in ``inbox``."""
+        wanted, code = MESSAGES[answer], MESSAGES[name].code
+        seen = 0
+        for _ in range(TRIES):
+            self.send(name, **values)
+            waited = 0.0
+            while waited < ANSWER_SECONDS:
+                data = self.port.read_waiting()
+                if not data:
+                    waited += TIMEOUT
+                seen += len(data)
+                found = None
+                for body in self.decoder.feed(data):
+                    if body[0] != wanted.code or found is not None:
+                        self.inbox.append(body)
+                    elif body[0] == _IDENTITY:
+                        self._require_protocol(body)
+                        found = wanted.unpack(body)
+                    else:
+                        message = wanted.unpack(body)
+                        if answer != "reply" or message.request == code:
+                            found = message
+                if found is not None:
+                    return found
+                if seen > 100_000:
+                    break
+        if answer == "identity":
+            raise self._no_station(seen)
+        raise WorkError(f"{self.port.url}: no answer to {name}; the device is gone or the line is bad")
+
+    def _no_station(self, seen: int) -> WorkError:
+        if seen:
+            return WorkError(f"{self.port.url}: not a Station device ({seen} bytes came, none of them an answer); "
+                             "check port, firmware and baud rate")
+        return WorkError(f"{self.port.url}: no Station device answers; check port, cable and firmware")
+
+    def _require_protocol(self, body: bytes) -> None:
+        version, number = int.from_bytes(body[1:3], "little"), int.from_bytes(body[3:7], "little")
+        if (version, number) != (PROTOCOL.version, PROTOCOL.hash):
+            raise WorkError(f"{self.port.url}: the device speaks protocol {version} ({number:08x}), this Station "
+                            f"{PROTOCOL.version} ({PROTOCOL.hash:08x}); put the matching firmware on the board")
+
+    def _ask(self, name: str, **values: Any) -> Any:
+        """A request that is answered by a reply; WorkError says why it was refused."""
+        reply = self._request(name, "reply", **values)
+        if reply.result != Result.OK:
+            result = Result(reply.result) if reply.result in Result._value2member_map_ else None
+            words = _WORDS.get(result, f"result {reply.result}")
+            raise WorkError(f"{self.port.url}: the device refuses {name}: "
+                            f"{words.format(state=state_words(reply.state, reply.fault))}")
+        return reply
+
+    def identify(self) -> Identity:
+        """Ask who is there; WorkError for what is no Station device or speaks another protocol.
+
+        Takes the device to idle, motor at zero, should a run of another host be on.
+        """
+        self.session = self.decoder.session = 0
+        self.inbox.clear()
+        self.port.write(b"\0")
+        found = self._request("identify", "identity", version=PROTOCOL.version, hash=PROTOCOL.hash)
+        self._challenge = found.challenge
+        return Identity(found.board, found.build, found.boot, found.zeroings, found.clock_hz,
+                        found.rate_min / 1000.0, found.rate_max / 1000.0, found.command_limit,
+                        bool(found.flags & BoardFlags.VIRTUAL_TIME), found.reset, State(found.state))
+
+    def configure(self, rate: float, command_limit: int, hold_ticks: int | None = None,
+                  fault_ticks: int | None = None, answer_ticks: int = 1) -> None:
+        """Set rate (Hz) and limits; by default hold 1 tick, fault after 10 ticks or 50 ms, the shorter."""
+        longest = max(2, int(rate * LIMITS["fault_time_max_ms"] / 1000.0))
+        fault_ticks = min(LIMITS["fault_ticks_default"], longest) if fault_ticks is None else fault_ticks
+        hold_ticks = LIMITS["hold_ticks_default"] if hold_ticks is None else hold_ticks
+        self._ask("configure", rate=round(rate * 1000.0), command_limit=command_limit, hold_ticks=hold_ticks,
+                  fault_ticks=fault_ticks, answer_ticks=answer_ticks)
+
+    def arm(self) -> None:
+        """Arm, with the challenge of the last identify."""
+        self._ask("arm", challenge=self._challenge)
+
+    def start(self) -> int:
+        """Start a session under a new random number, which is returned; samples come from now on."""
+        self.session = self.last_session = self.decoder.session = secrets.randbelow(0xFFFF) + 1
+        reply = self._request("start", "reply", session=self.session)
+        if reply.state != State.RUNNING:
+            raise WorkError(f"{self.port.url}: the device refuses to start: "
+                            f"it is {state_words(reply.state, reply.fault)}")
+        return self.session
+
+    def stop(self) -> None:
+        """End the session, motor at zero."""
+        self._request("stop", "reply")
+        self.session = self.decoder.session = 0
+
+    def halt(self, next_index: int | None = None) -> bool:
+        """Motor to zero and stop, on every way out: never raises for the line; whether the device confirmed."""
+        try:
+            zero = b""
+            if self.session and next_index is not None:
+                zero = encode(MESSAGES["command"].pack(index=next_index & 0xFFFF, command=0), self.session)
+            self.port.write(zero + encode(MESSAGES["stop"].pack()))
+            self.stop()
+        except WorkError:
+            return False
+        return True
+
+    def clear(self) -> None:
+        """Leave a fault."""
+        self._ask("clear")
+
+    def zero(self) -> None:
+        """Let the encoder read 0 where it stands."""
+        self._ask("zero")
+
+    def statistics(self) -> Any:
+        """The device's counters since the last start."""
+        return self._request("query", "statistics")
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass, the device's own where that is virtual; frames that come are kept in ``inbox``."""
+        for _ in range(max(1, round(seconds / TIMEOUT))):
+            self.inbox.extend(self.decoder.feed(self.port.read(LIMITS["frame_bytes"] * 64)))
+
+    def wait_for_rest(self, seconds: float = 10.0) -> int:
+        """Wait until the encoder rests; returns its reading (counts).  WorkError where it still moves."""
+        waited = 0.0
+        while True:
+            found = self.statistics()
+            if not found.status & Status.MOVING:
+                return found.encoder
+            if waited >= seconds:
+                raise WorkError(f"{self.port.url}: the arm still moves after {seconds:g} s (encoder "
+                                f"{found.encoder}); let it come to rest")
+            self.wait(TIMEOUT)
+            waited += TIMEOUT
+
+
+def state_words(state: int, fault: int) -> str:
+    """A device's state for people."""
+    if state == State.FAULT:
+        reason = Fault(fault).name.lower().replace("_", " ") if fault in Fault._value2member_map_ else f"code {fault}"
+        return f"in fault ({reason})"
+    return State(state).name.lower() if state in State._value2member_map_ else f"in state {state}"
+
+
+def decoded(body: bytes) -> tuple[str, Any]:
+    """A body's message name and fields."""
+    message = MESSAGE_OF_CODE[body[0]]
+    return message.name, message.unpack(body)

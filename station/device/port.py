@@ -1,0 +1,124 @@
+"""Opening a port by pyserial: a path, or any pyserial URL (sim:// and replay:// among them), with errors for people."""
+
+from __future__ import annotations
+
+import errno
+from dataclasses import dataclass
+from types import TracebackType
+
+import serial
+from serial.serialutil import SerialBase, SerialException
+from serial.tools.list_ports import comports
+
+from station.errors import StationError, UsageError, WorkError
+
+HANDLERS = "station.device.urls"
+BAUD_RATE = 921_600
+"""For a board behind a UART; USB and sockets take no notice."""
+TIMEOUT = 0.1
+"""Seconds for which a read waits: short, so that Ctrl-C is heard on every platform."""
+WRITE_TIMEOUT = 0.25
+
+
+class Port:
+    """An open port.  ``read`` and ``write`` raise WorkError, naming the port, when the line is lost."""
+
+    def __init__(self, url: str, line: SerialBase) -> None:
+        self.url = url
+        self.serial = line
+
+    def read(self, size: int) -> bytes:
+        """Up to size bytes; fewer where TIMEOUT passes first."""
+        try:
+            return self.serial.read(size)
+        except (SerialException, OSError, TypeError) as error:  # TypeError: pyserial's, on a port closed meanwhile
+            raise self._lost(error) from None
+
+    def write(self, data: bytes) -> None:
+        """Send all bytes, at once."""
+        try:
+            self.serial.write(data)
+        except (SerialException, OSError, TypeError) as error:
+            raise self._lost(error) from None
+
+    def read_waiting(self) -> bytes:
+        """What has come, at least one byte; b"" where nothing comes for TIMEOUT."""
+        try:
+            return self.serial.read(max(1, self.serial.in_waiting))
+        except (SerialException, OSError, TypeError) as error:
+            raise self._lost(error) from None
+
+    def _lost(self, error: Exception) -> WorkError:
+        return WorkError(f"{self.url}: the line was lost ({_words(error)}); check cable and device")
+
+    def close(self) -> None:
+        """Close it; a line already lost is no error here."""
+        try:
+            self.serial.close()
+        except (SerialException, OSError):
+            pass
+
+    def __enter__(self) -> Port:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        self.close()
+
+
+def _words(error: BaseException) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def _complaint(url: str, error: Exception) -> StationError:
+    """What pyserial or the system said, as one line with what to do."""
+    text = _words(error)
+    code = getattr(error, "errno", None)
+    if code in (errno.ENOENT, errno.ENXIO, errno.ENODEV) or "FileNotFoundError" in text:
+        return UsageError(f"{url}: no such port; `station ports` lists those there are")
+    if "exclusively lock" in text or code == errno.EBUSY or "in use" in text:
+        return WorkError(f"{url}: the port is busy; close the other program that holds it")
+    if code in (errno.EACCES, errno.EPERM):
+        return WorkError(f"{url}: no permission; on Linux join the port's group "
+                         "(`sudo usermod -a -G dialout $USER`) and log in again")
+    if "PermissionError" in text:  # Windows says the same of a port that another program holds
+        return WorkError(f"{url}: access denied; close the other program that holds the port")
+    if "Connection refused" in text or "timed out" in text or "getaddrinfo" in text:
+        return WorkError(f"{url}: nobody listens there; start `station device` or check address and port number")
+    if "Could not configure port" in text or code in (errno.ENOTTY, errno.EISDIR):
+        return UsageError(f"{url}: not a serial port")
+    return WorkError(f"{url}: cannot be opened ({text})")
+
+
+def open_port(url: str, baud_rate: int = BAUD_RATE) -> Port:
+    """Open a path or a pyserial URL.  UsageError: no such port, bad URL; WorkError: busy, no permission, refused."""
+    if HANDLERS not in serial.protocol_handler_packages:
+        serial.protocol_handler_packages.append(HANDLERS)
+    try:
+        line = serial.serial_for_url(url, baudrate=baud_rate, timeout=TIMEOUT, write_timeout=WRITE_TIMEOUT,
+                                     exclusive=True)
+    except SerialException as error:
+        if isinstance(error.__cause__, StationError):
+            raise error.__cause__ from None
+        raise _complaint(url, error) from None
+    except ValueError as error:
+        raise UsageError(f"{url}: not a port ({_words(error)}); "
+                         "a path, or sim://RIG, replay://RUN, socket://HOST:PORT") from None
+    except (OSError, AttributeError, TypeError) as error:  # the last two: pyserial's, on malformed URLs
+        raise _complaint(url, error) from None
+    return Port(url, line)
+
+
+@dataclass(frozen=True)
+class PortInfo:
+    """A serial port of this machine: its path and what the system says about it."""
+
+    path: str
+    description: str
+    hardware: str
+
+
+def list_ports() -> list[PortInfo]:
+    """The machine's serial ports, by path."""
+    return [PortInfo(found.device, found.description or "", found.hwid or "")
+            for found in sorted(comports(), key=lambda found: found.device)]

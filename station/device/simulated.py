@@ -1,0 +1,142 @@
+"""The simulated device: the firmware core itself, driving a plant model (or a recorded run) in place of a rig."""
+
+from __future__ import annotations
+
+import math
+import random
+import zlib
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from station.device.core import Board, Core
+from station.device.faults import Faults, FaultyLine
+from station.device.protocol import BoardFlags, InputFlags
+from station.errors import UsageError
+from station.model.simulate import Plant
+from station.rig import Rig
+
+_INT16 = 0x7FFF
+CLOCK_HZ = 1_000_000
+
+
+class Source(Protocol):
+    """What the sensors read and what the drive acts on."""
+
+    def begin(self) -> None:
+        """A session begins at the coming tick."""
+
+    def sample(self) -> tuple[int, int]:
+        """Encoder and accelerometer at this tick, counts."""
+
+    def advance(self, drive: int, running: bool) -> None:
+        """Hold the drive (counts) to the next tick."""
+
+
+class PlantSource:
+    """The plant model of a rig; ``noise`` is the accelerometer's standard deviation, counts."""
+
+    def __init__(self, rig: Rig, angle: float, accel_offset: float, noise: float, seed: int) -> None:
+        self._plant = Plant(rig, angle, accel_offset)
+        self._noise = noise
+        self._gauss = random.Random(seed).gauss
+
+    def begin(self) -> None:
+        """A session begins; the rig does not care."""
+
+    def sample(self) -> tuple[int, int]:
+        """Encoder and accelerometer at this tick, counts; noise before rounding, cut to 16 bits."""
+        encoder, accel = self._plant.sample()
+        if self._noise:
+            accel = math.floor(accel + self._gauss(0.0, self._noise) + 0.5)
+        return encoder, min(max(accel, -_INT16), _INT16)
+
+    def advance(self, drive: int, running: bool) -> None:
+        """Hold the drive to the next tick."""
+        self._plant.advance(drive)
+
+
+@dataclass(frozen=True)
+class Options:
+    """How a simulated device behaves.  speed 0: lockstep, as fast as the host answers; 1: real time.
+
+    noise: accelerometer, counts (one sigma); angle: where the rig stands at first, rad; accel_offset: counts.
+    """
+
+    speed: int = 0
+    seed: int | None = None
+    noise: float = 0.0
+    angle: float = 0.0
+    accel_offset: float = 0.0
+    faults: Faults = field(default_factory=Faults)
+
+
+class SimulatedDevice:
+    """The firmware core with a source of samples behind it.  Who owns it gives it bytes and calls its ticks."""
+
+    def __init__(self, name: str, source: Source, rate: float, limit: float, options: Options, boot: int,
+                 true_period: float | None = None) -> None:
+        if not 1.0 <= limit <= _INT16:
+            raise UsageError(f"{name}: amplifier.limit {limit:g} counts; a device's command has 1 to {_INT16}")
+        flags = BoardFlags.VIRTUAL_TIME if options.speed == 0 else 0
+        board = Board(name, round(rate * 1000.0), math.floor(limit), boot, CLOCK_HZ, int(flags))
+        self.options = options
+        self.rate = rate
+        self.period = true_period or 1.0 / rate
+        self.core = Core(board, random.getrandbits(32) if options.seed is None else boot ^ 0x5DEECE66)
+        self.line = FaultyLine(options.faults, boot)
+        self._source = source
+        self._was_running = False
+        self._session_ticks = 0
+        self._faulty = options.faults.on_frames
+
+    @classmethod
+    def of_rig(cls, rig: Rig, options: Options | None = None) -> SimulatedDevice:
+        """The rig as a device; UsageError where its limit or rate cannot be a device's."""
+        options = options or Options()
+        boot = (random.getrandbits(32) if options.seed is None
+                else zlib.crc32(f"{options} {rig.to_toml()}".encode()))
+        source = PlantSource(rig, options.angle, options.accel_offset, options.noise, boot)
+        scale = next((effect.ratio for effect in rig.effects if effect.name == "clock_scale"), 1.0)
+        return cls(rig.name, source, rig.sample_rate, rig.amplifier.limit, options, boot, rig.period * scale)
+
+    @property
+    def silent(self) -> bool:
+        """Whether the fault of silence has set in: no tick, no answer."""
+        after = self.options.faults.silent_after
+        return after is not None and self._session_ticks >= after
+
+    @property
+    def unplugged(self) -> bool:
+        """Whether the fault of a pulled cable has set in."""
+        after = self.options.faults.unplug_after
+        return after is not None and self._session_ticks >= after
+
+    def receive(self, data: bytes) -> None:
+        """Bytes from the host."""
+        if not self.silent:
+            self.core.receive(self.line.carry("host", data) if self._faulty else data)
+
+    def transmit(self) -> bytes:
+        """Bytes for the host."""
+        data = self.core.transmit()
+        if self.silent:
+            return b""
+        return self.line.carry("device", data) if self._faulty and data else data
+
+    def tick(self, clock: int, woke_late: bool = False) -> None:
+        """One tick at a reading of the board's clock (microseconds): sensors, core.  ``advance`` must follow."""
+        running = self.core.running
+        if running:
+            if not self._was_running:
+                self._source.begin()
+                self._session_ticks = 0
+            self._session_ticks += 1
+        self._was_running = running
+        encoder, accel = self._source.sample()
+        self.core.tick(clock, encoder, accel, int(InputFlags.WOKE_LATE) if woke_late else 0)
+        if self._faulty:
+            self.core.receive(self.line.overdue())
+
+    def advance(self) -> None:
+        """Let the drive act on the rig for one period."""
+        self._source.advance(self.core.drive, self._was_running)

@@ -1,0 +1,170 @@
+"""One session at the device's pace: read a sample, answer it, record it.  Everything that drives a motor goes
+through ``run_session``, so that the motor's zero on every way out stands in one place."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+
+from station.device.client import Client, state_words
+from station.device.framing import encode
+from station.device.port import TIMEOUT
+from station.device.protocol import MESSAGES, State, Status
+from station.errors import WorkError
+
+SILENCE_SECONDS = 0.5
+"""A device silent for so long is lost."""
+_SAMPLE, _COMMAND, _FAULT = MESSAGES["sample"], MESSAGES["command"], MESSAGES["fault"]
+_MASK16 = 0xFFFF
+_UNANSWERED = int(Status.HELD | Status.ZEROED)
+
+
+@dataclass
+class Counts:
+    """What a session counted.  From the host: ``samples`` recorded; ``lost``: ticks whose sample never came;
+    ``duplicated`` samples that came again; ``corrupt`` frames that did not pass; ``unanswered``: recorded ticks
+    on which the device had no command in time.
+
+    From the device's own counters (-1 where it could not be asked): ``device_samples`` sent, ``late`` commands,
+    ``held`` and ``zeroed`` ticks, ``device_corrupt`` frames, ``woke_late`` ticks, and commands that were
+    ``repeated``, ``limited``, ``refused`` (early or out of the window).  ``after_stop`` samples were sent beyond
+    the last one wanted.  Always device_samples = samples + lost + after_stop.
+    """
+
+    samples: int = 0
+    lost: int = 0
+    duplicated: int = 0
+    corrupt: int = 0
+    unanswered: int = 0
+    device_samples: int = -1
+    after_stop: int = -1
+    late: int = -1
+    held: int = -1
+    zeroed: int = -1
+    repeated: int = -1
+    limited: int = -1
+    refused: int = -1
+    device_corrupt: int = -1
+    woke_late: int = -1
+
+    def as_dict(self) -> dict[str, int]:
+        """For metadata and JSON."""
+        return asdict(self)
+
+
+Respond = Callable[[int, int, int], int]
+"""respond(row, encoder, accel): the command (whole counts) for tick row + answer_ticks."""
+Record = Callable[[int, int, int, int, int, int, int, float, float], None]
+"""record(row, clock, encoder, accel, command, status, sent, received, written): one sample and its answer."""
+
+
+class Session:
+    """A session on a device that is armed.  ``counts`` is filled in also where ``run`` raises."""
+
+    def __init__(self, client: Client, rows: int, respond: Respond, record: Record, answer_ticks: int = 1,
+                 progress: Callable[[int], None] | None = None, progress_rows: int = 50) -> None:
+        self.client = client
+        self.counts = Counts()
+        self._rows = rows
+        self._respond, self._record = respond, record
+        self._answer_ticks = answer_ticks
+        self._progress, self._progress_rows = progress, max(progress_rows, 1)
+        self._unanswered: int | None = None  # index of the command that the last sample still waits for
+
+    def run(self) -> Counts:
+        """Run to the last row.  WorkError: the line was lost, the device went silent or into fault.
+
+        Whatever ends it (the last row, an exception, Ctrl-C, a lost line), the command 0 and a stop are sent; where
+        they cannot be, the device's watchdog does the same.
+        """
+        client, collecting = self.client, gc.isenabled()
+        corrupt = client.decoder.corrupt
+        gc.disable()
+        try:
+            client.start()
+            self._loop()
+        finally:
+            try:
+                confirmed = client.halt(self._unanswered)
+            finally:
+                self.counts.corrupt = client.decoder.corrupt - corrupt
+                if collecting:
+                    gc.enable()
+            if confirmed:
+                self._ask_counters()
+        return self.counts
+
+    def _loop(self) -> None:
+        client, counts, rows, answer_ticks = self.client, self.counts, self._rows, self._answer_ticks
+        read, write, decoder, feed = client.port.read, client.port.write, client.decoder, client.decoder.feed
+        respond, record, now, session = self._respond, self._record, time.perf_counter, client.session
+        unpack, pack = _SAMPLE.struct.unpack, _COMMAND.struct.pack
+        sample_code, command_code, wire_size = _SAMPLE.code, _COMMAND.code, _SAMPLE.wire_size
+        row, silence, received = -1, 0.0, now()
+        encoder = accel = 0
+        bodies = list(client.inbox)
+        client.inbox.clear()
+        while True:
+            for body in bodies:
+                if body[0] != sample_code:
+                    self._other(body, row)
+                    continue
+                _, index, clock, *readings, command, status = unpack(body)
+                step = (index - row) & _MASK16
+                if step == 0 or step >= 0x8000:
+                    counts.duplicated += 1
+                    continue
+                if step > 1:  # the ticks between are lost: the compensator goes on with what it read last
+                    step = min(step, rows - row)
+                    counts.lost += step - 1
+                    for missed in range(row + 1, row + step):
+                        respond(missed, encoder, accel)
+                row += step
+                if row >= rows:
+                    return
+                encoder, accel = readings
+                self._unanswered = row + answer_ticks
+                if status & _UNANSWERED:
+                    counts.unanswered += 1
+                counts.samples += 1
+                if row == rows - 1:  # its answer is the command 0, sent with the stop
+                    record(row, clock, encoder, accel, command, status, 0, received, now())
+                    return
+                answer = respond(row, encoder, accel)
+                write(encode(pack(command_code, self._unanswered & _MASK16, answer), session))
+                written = now()
+                self._unanswered = None
+                record(row, clock, encoder, accel, command, status, answer, received, written)
+                if self._progress is not None and row % self._progress_rows == 0:
+                    self._progress(row)
+            data = read(max(wire_size - decoder.pending, 1))
+            received = now()
+            if data:
+                silence = 0.0
+            else:
+                silence += TIMEOUT
+                if silence >= SILENCE_SECONDS:
+                    raise WorkError(f"{client.port.url}: the device fell silent after row {row}; check cable and "
+                                    "power (its watchdog takes the motor to zero)")
+            bodies = feed(data)
+
+    def _other(self, body: bytes, row: int) -> None:
+        if body[0] == _FAULT.code:
+            message = _FAULT.unpack(body)
+            raise WorkError(f"{self.client.port.url}: the device went {state_words(State.FAULT, message.fault)} at "
+                            f"row {row}, its motor is at zero; see why the host was late, then start again")
+
+    def _ask_counters(self) -> None:
+        counts = self.counts
+        try:
+            found = self.client.statistics()
+        except WorkError:
+            return
+        counts.device_samples = found.samples
+        counts.after_stop = found.samples - counts.samples - counts.lost
+        counts.late, counts.held, counts.zeroed = found.late, found.held, found.zeroed
+        counts.repeated, counts.limited = found.repeated, found.limited
+        counts.refused = found.early + found.out_of_window
+        counts.device_corrupt, counts.woke_late = found.corrupt, found.woke_late
