@@ -1,0 +1,157 @@
+"""Whatever is wrong with what a command is given: one line that names it, exit 2 or 1, no traceback."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from station.rig import builtin_rigs
+from station.runs import export_run
+from tests.cli.conftest import step_run
+
+SFLR = builtin_rigs()["sflr"]
+RIG_FAULTS = {
+    "an unknown key": (SFLR.replace("[motor]", "[motor]\ncolour = 3"), "motor.colour: unknown key"),
+    "an unknown table": (SFLR + "\n[wheel]\nmass = 1.0\n", "wheel: unknown key"),
+    "a negative mass": (SFLR.replace("mass = 0.00612610", "mass = -0.1"), "tip.mass"),
+    "a beam of no length": (SFLR.replace("length = 0.413544", "length = 0.0"), "beam.length"),
+    "too many elements": (SFLR.replace("elements = 4", "elements = 201"), "beam.elements"),
+    "text for a number": (SFLR.replace("inertia = 0.00131777", 'inertia = "large"'), "motor.inertia"),
+    "not a number": (SFLR.replace("inertia = 0.00131777", "inertia = nan"), "motor.inertia"),
+    "a missing table": (SFLR.replace("[amplifier]\nlimit = 200.0", ""), "amplifier: missing"),
+    "no TOML": ("name = = 3", "not TOML"),
+    "an unknown effect": (SFLR + '\n[[effects]]\neffect = "magic"\nat = "motor"\n', "magic"),
+    "33 effects": (SFLR + 33 * '\n[[effects]]\neffect = "coulomb_friction"\nat = "motor"\ntorque = 0.1\n', "effects"),
+}
+
+
+@pytest.mark.parametrize("fault", RIG_FAULTS)
+def test_a_rig_file_with(station, step, tmp_path, fault):
+    text, named = RIG_FAULTS[fault]
+    rig = tmp_path / "bad.toml"
+    rig.write_text(text)
+    ended = station("simulate", "--rig", rig, "--like", step, "--out", tmp_path / "out.csv")
+    assert ended.status == 2
+    assert "bad.toml" in ended.one_line() and named in ended.one_line()
+    assert not (tmp_path / "out.csv").exists()
+
+
+def test_a_rig_that_is_nowhere(station, step, tmp_path):
+    ended = station("simulate", "--rig", "nowhere.toml", "--like", step, "--out", tmp_path / "out.csv")
+    assert ended.status == 2
+    assert "nowhere.toml" in ended.one_line() and "sflr" in ended.one_line()
+
+
+def _csv(rows: list[str]) -> str:
+    return "\n".join(["t,reference,command,encoder,accel", *rows]) + "\n"
+
+
+RUN_FAULTS = {
+    "nothing in it": "",
+    "no columns": "hello\n",
+    "a NaN": _csv(["0.0,0,0,0,0", "0.002,0,0,nan,0", "0.004,0,0,0,0"]),
+    "an infinity": _csv(["0.0,0,0,0,0", "0.002,inf,0,0,0", "0.004,0,0,0,0"]),
+    "irregular time": _csv(["0.0,0,0,0,0", "0.002,0,0,0,0", "0.009,0,0,0,0", "0.011,0,0,0,0"]),
+    "time that stands still": _csv(["0.0,0,0,0,0", "0.0,0,0,0,0", "0.0,0,0,0,0"]),
+    "a short row": _csv(["0.0,0,0,0,0", "0.002,0,0", "0.004,0,0,0,0"]),
+    "words for numbers": _csv(["0.0,0,0,0,0", "0.002,a,b,c,d", "0.004,0,0,0,0"]),
+    "one row": _csv(["0.0,0,0,0,0"]),
+    "a header to be evaluated": "# controller = __import__('os').system('true')\n" + _csv(["0,0,0,0,0", "1,0,0,0,0"]),
+}
+
+
+@pytest.mark.parametrize("fault", RUN_FAULTS)
+def test_a_log_with(station, tmp_path, fault):
+    log = tmp_path / "bad.csv"
+    log.write_text(RUN_FAULTS[fault])
+    ended = station("simulate", "--rig", "sflr", "--like", log, "--out", tmp_path / "out.csv")
+    assert ended.status == 1
+    assert "bad.csv" in ended.one_line()
+
+
+def test_a_log_that_is_nowhere(station, tmp_path):
+    ended = station("replay", tmp_path / "nowhere.csv")
+    assert ended.status == 1 and "nowhere.csv" in ended.one_line()
+
+
+def test_a_log_that_is_a_folder(station, tmp_path):
+    ended = station("replay", tmp_path)
+    assert ended.status == 1 and str(tmp_path) in ended.one_line()
+
+
+def test_bytes_that_are_no_log(station, tmp_path):
+    log = tmp_path / "noise.mcap"
+    log.write_bytes(bytes(range(256)) * 20)
+    ended = station("replay", log)
+    assert ended.status == 1 and "noise.mcap" in ended.one_line()
+
+
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 0.95])
+def test_a_truncated_log_is_read_to_its_last_record_or_refused(station, tmp_path, share):
+    whole, cut = tmp_path / "whole.mcap", tmp_path / "cut.mcap"
+    export_run(step_run(rows=2000), whole)
+    data = whole.read_bytes()
+    cut.write_bytes(data[: int(share * len(data))])
+    ended = station("export", cut, "--out", tmp_path / "out.csv")
+    assert ended.status in (0, 1)
+    if ended.status == 1:
+        assert "cut.mcap" in ended.one_line()
+
+
+def test_two_runs_of_one_name(station, step, tmp_path):
+    (tmp_path / "other").mkdir()
+    same = tmp_path / "other" / "step.csv"
+    same.write_text(step.read_text())
+    ended = station("replay", step, same)
+    assert ended.status == 2 and "step" in ended.one_line()
+
+
+@pytest.mark.parametrize("arguments", [
+    ["nonsense"], ["replay"], ["replay", "--nonsense", "x"], ["simulate", "--rig", "sflr"],
+    ["replay", "x.csv", "--tolerance", "much"]])
+def test_arguments_that_no_command_has(station, arguments):
+    ended = station(*arguments)
+    assert ended.status == 2
+    ended.one_line()
+
+
+def test_an_ending_that_no_form_has(station, step, tmp_path):
+    ended = station("export", step, "--out", tmp_path / "out.docx")
+    assert ended.status == 2 and "out.docx" in ended.one_line()
+
+
+def test_an_output_folder_that_is_nowhere(station, step, tmp_path):
+    ended = station("export", step, "--out", tmp_path / "no" / "out.csv")
+    assert ended.status == 1 and "does not exist" in ended.one_line()
+
+
+def test_names_from_files_cannot_command_the_terminal(station, step, tmp_path):
+    rig = tmp_path / "evil.toml"
+    rig.write_text(SFLR.replace('name = "sflr"', r'name = "\u001b[2J\u001b]0;owned\u0007"'), encoding="utf-8")
+    ended = station("simulate", "--rig", rig, "--like", step, "--out", tmp_path / "out.csv")
+    assert ended.status == 0
+    assert "\x1b" not in ended.out and "\x07" not in ended.out and r"\x1b[2J" in ended.out
+    ended = station("replay", tmp_path / "\x1b[31mred.csv")
+    assert ended.status == 1 and "\x1b" not in ended.one_line()
+
+
+def test_a_traceback_is_shown_to_those_who_ask(station, tmp_path, monkeypatch):
+    monkeypatch.setenv("STATION_TRACEBACK", "1")
+    ended = station("replay", tmp_path / "nowhere.csv")
+    assert ended.status == 1 and "Traceback" in ended.err
+
+
+def test_a_reader_that_goes_away_is_no_error():
+    root = Path(__file__).resolve().parents[2]
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        done = subprocess.run([sys.executable, "-m", "station", "--help"], stdout=writer, stderr=subprocess.PIPE,
+                              cwd=root, text=True)
+    finally:
+        os.close(writer)
+    assert done.stderr == ""

@@ -1,0 +1,68 @@
+"""Import, export, list, rescue and replay from the command line."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from station.runs import load_run
+
+
+@pytest.mark.parametrize("form", ["mcap", "csv", "parquet", "mat"])
+def test_export_and_import_keep_the_columns(station, step, tmp_path, form):
+    there, back = tmp_path / f"there.{form}", tmp_path / "back.csv"
+    assert station("export", step, "--out", there).status == 0
+    assert station("import", there, "--out", back).status == 0
+    before, after = load_run(step), load_run(back)
+    for name, values in before.columns().items():
+        assert (after.columns()[name] == values).all(), name
+    assert after.metadata.controller == before.metadata.controller
+
+
+def test_import_adds_what_the_log_does_not_say(station, step, tmp_path):
+    out = tmp_path / "named.mcap"
+    assert station("import", step, "--rig", "sflr-unit", "--zero-id", "bench", "--out", out).status == 0
+    assert load_run(out).metadata.zero_id == "bench"
+    assert load_run(out).metadata.rig["name"] == "sflr-unit"
+
+
+def test_an_output_in_the_way_is_kept(station, step, tmp_path):
+    out = tmp_path / "kept.csv"
+    out.write_text("mine")
+    assert station("export", step, "--out", out).status == 1
+    assert out.read_text() == "mine"
+    assert station("export", step, "--out", out, "--overwrite").status == 0
+    assert load_run(out).metadata.zero_id == "made"
+
+
+def test_runs_lists_good_and_unreadable_files(station, step, tmp_path):
+    (tmp_path / "broken.csv").write_text("t,reference\nnonsense")
+    ended = station("runs", tmp_path)
+    assert ended.status == 0 and "step.csv" in ended.out and "broken.csv" in ended.out
+    listed = json.loads(station("runs", tmp_path, "--json", "-").out)["runs"]
+    assert {item["file"] for item in listed if "problem" in item} == {"broken.csv"}
+    assert [item["test"]["kind"] for item in listed if "test" in item] == ["step"]
+
+
+def test_replay_finds_the_logged_commands_and_a_changed_one(station, step, tmp_path):
+    found = json.loads(station("replay", step, "--json", "-").out)["runs"][0]
+    assert found["same"] and found["max_abs_difference"] <= 1e-3
+    lines = step.read_text().splitlines()
+    cells = lines[-1].split(",")
+    cells[2] = str(float(cells[2]) + 1.0)
+    other = tmp_path / "changed.csv"
+    other.write_text("\n".join([*lines[:-1], ",".join(cells)]) + "\n")
+    found = json.loads(station("replay", other, "--json", "-").out)["runs"][0]
+    assert not found["same"] and found["row"] == 299 and found["max_abs_difference"] == pytest.approx(1.0)
+
+
+def test_recover_completes_a_log_cut_short(station, step, tmp_path):
+    whole, cut, out = tmp_path / "whole.mcap", tmp_path / "cut.mcap", tmp_path / "out.mcap"
+    station("export", step, "--out", whole)
+    cut.write_bytes(whole.read_bytes()[:-200])
+    before = cut.read_bytes()
+    ended = station("recover", cut, "--out", out)
+    assert ended.status == 0, ended.err
+    assert cut.read_bytes() == before
+    assert len(load_run(out)) > 0

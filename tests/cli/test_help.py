@@ -1,0 +1,60 @@
+"""Every command explains itself, with an example, and quickly."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import typer
+
+from station.cli.app import build
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def _commands() -> dict[str, typer.core.TyperCommand]:
+    found = {}
+
+    def walk(group: typer.core.TyperGroup, path: list[str]) -> None:
+        for name, command in group.commands.items():
+            found[" ".join([*path, name])] = command
+            if isinstance(command, typer.core.TyperGroup):
+                walk(command, [*path, name])
+
+    walk(typer.main.get_command(build()), [])
+    return found
+
+
+COMMANDS = _commands()
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_says_what_it_does_and_shows_an_example(station, name):
+    ended = station(*name.split(), "--help")
+    assert ended.status == 0 and ended.err == ""
+    text = " ".join(ended.out.split())
+    assert f"Usage: station {name}" in text
+    assert "Example: station " in text
+    assert COMMANDS[name].help
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_is_explained(name):
+    for parameter in COMMANDS[name].params:
+        assert getattr(parameter, "help", None), f"{name}: {parameter.name}"
+
+
+def test_without_a_command_the_help_is_shown(station):
+    ended = station()
+    assert ended.status == 0 and "demo" in ended.out
+
+
+def test_help_imports_nothing_heavy():
+    """What would make `station --help` slow is not imported for it."""
+    script = ("import sys\nfrom station.cli import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
+              "heavy = {'numpy', 'scipy', 'numba', 'control', 'plotly', 'rerun', 'pyarrow', 'serial', 'pydantic'}\n"
+              "print('heavy:', sorted(heavy & set(sys.modules)))")
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "heavy: []"
