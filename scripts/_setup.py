@@ -86,7 +86,8 @@ def prepare():
     stamp.unlink(missing_ok=True)
     command = [*pip(), "install", "--quiet", "--disable-pip-version-check", "--no-input", "-c", LOCK,
                "-e", f"{ROOT}[{','.join(extras())}]"]
-    if subprocess.run(command).returncode != 0:
+    quiet = {**os.environ, "PYTHONWARNINGS": "ignore"}      # setuptools' remarks on editable installs
+    if subprocess.run(command, env=quiet).returncode != 0:
         stop("the installation failed; pip's reason stands above")
     stamp.write_text(wanted)
     return environment_python()

@@ -11,6 +11,8 @@ from station.errors import StationError
 TRACEBACK = "STATION_TRACEBACK"
 """Environment variable that shows the traceback of an error, for those who mend it."""
 
+INTERRUPTED = 130
+
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command and exit with its status: 0 done, 1 the work failed, 2 wrong use, 130 interrupted."""
@@ -30,6 +32,8 @@ def _status(arguments: list[str]) -> int:
         try:
             status = build()(arguments or ["--help"], prog_name="station", standalone_mode=False)
             sys.stdout.flush()
+            if status == INTERRUPTED:
+                raise KeyboardInterrupt
             return status if isinstance(status, int) else 0
         except Exception:
             if os.environ.get(TRACEBACK):
@@ -41,7 +45,7 @@ def _status(arguments: list[str]) -> int:
     except TyperException as error:
         message, status = error.format_message(), error.exit_code
     except (Abort, KeyboardInterrupt):
-        message, status = "interrupted", 130
+        message, status = "interrupted", INTERRUPTED
     except BrokenPipeError:             # the reader of our output has gone, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 import station
-from station.cli import devices, files, models
+from station.cli import devices, files, models, run
 
 
 def build() -> typer.Typer:
@@ -17,7 +17,7 @@ def build() -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"]},
         epilog="Start here: station demo. Every command has its own --help with an example.")
     app.callback()(_options)
-    for group in (devices, files, models):
+    for group in (devices, run, files, models):
         app.add_typer(group.app)
     return app
 

@@ -10,6 +10,7 @@ from typing import Any
 from station.errors import UsageError
 
 MAX_FILE_BYTES = 1 << 20
+SAMPLED_AT = 500.0
 LEAD = {"gain": 20.0, "zero": 10.0 * math.pi, "pole": 40.0 * math.pi}
 NAMED: dict[str, dict[str, Any]] = {
     "open": {"kind": "open"},
@@ -20,11 +21,17 @@ NAMED: dict[str, dict[str, Any]] = {
         "accel_numerator": [0.00045097, 0.00045152, -0.00044989, -0.00045043],
         "accel_denominator": [1.0, -2.9289362, 2.85853684, -0.92960052]},
 }
-"""Those of the thesis; the accelerometer's compensator is sampled at 500 Hz, as its logs' header gives it."""
+"""Those of the thesis; the accelerometer's compensator is sampled, as its log's header gives it."""
 
 
-def controller_spec(name_or_path: str, **changes: float | None) -> dict[str, Any]:
-    """The controller's dictionary by name or from a TOML file, with some of its numbers changed."""
+def controller_spec(name_or_path: str, sample_rate: float, **changes: float | None) -> dict[str, Any]:
+    """The controller's dictionary by name or from a TOML file, with some of its numbers changed.
+
+    ``sample_rate``, Hz, is that of the loop: a compensator that is given already sampled fits one rate alone.
+    """
+    if name_or_path == "lead-accel" and sample_rate != SAMPLED_AT:
+        raise UsageError(f"--controller lead-accel: sampled at {SAMPLED_AT:g} Hz, the rig runs at {sample_rate:g} Hz; "
+                         "give a TOML file with its coefficients at that rate")
     spec = dict(NAMED[name_or_path]) if name_or_path in NAMED else _read(Path(name_or_path))
     for key, value in changes.items():
         if value is None:
