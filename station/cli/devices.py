@@ -1,11 +1,18 @@
-"""The line and the device behind it, without a test: ports."""
+"""The line and the device behind it, without a test: ports, check, device."""
 
 from __future__ import annotations
 
+from contextlib import suppress
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Annotated
+
 import typer
 
-from station.cli.options import Json, command
-from station.cli.terminal import console, row, say, table, write_json
+from station.cli.options import Json, Port, RigName, command
+from station.cli.terminal import console, note, number, progress, row, say, table, write_json
+
+if TYPE_CHECKING:
+    from station.device.server import Addresses
 
 app = typer.Typer()
 PANEL = "Devices"
@@ -32,3 +39,63 @@ def ports(json: Json = None) -> None:
     console().print(shown)
     if not found:
         say("This machine has no serial port; is the board plugged in?")
+
+
+@command(app, "check", PANEL, "station check --port sim://sflr --rig sflr")
+def check(
+    port: Port, rig: RigName,
+    amplitude: Annotated[float, typer.Option("--amplitude", help="Size of the pulses, counts.")] = 20.0,
+    json: Json = None,
+) -> None:
+    """Send small pulses either way; say whether motor, encoder and accelerometer work and which way they point."""
+    from station.device.port import open_port
+    from station.loop.check import check as check_rig
+    from station.rig import load_rig
+
+    model = load_rig(rig)
+    with open_port(port) as line, progress(f"check on {port}") as update:
+        found = check_rig(line, model, amplitude, lambda row, rows: update(row / rows))
+    if json:
+        write_json(json, asdict(found))
+        if json == "-":
+            return
+    say(f"{'Passed' if found.passed else 'Not passed'}: {model.name} on {port}")
+    for words in found.words:
+        say(f"  {words}")
+    say(f"  encoder moved {number(found.travel)} counts, expected {number(found.expected_travel)}")
+    if model.accelerometer is not None:
+        say(f"  accelerometer peaked at {number(found.accel_peak)} counts, "
+            f"expected {number(found.expected_accel_peak)}")
+
+
+@command(app, "device", PANEL, "station device --rig sflr --tcp 7777")
+def device(
+    rig: RigName,
+    tcp: Annotated[int | None, typer.Option("--tcp", min=0, max=65535, metavar="PORT", help=(
+        "Listen at this TCP port of 127.0.0.1 (0: any free one), and never at another address."))] = None,
+    pty: Annotated[bool | None, typer.Option("--pty/--no-pty", help=(
+        "Offer a pseudo-terminal. By default where the platform has them and no --tcp is given."))] = None,
+    speed: Annotated[int, typer.Option("--speed", min=0, max=1, help="1: real time; 0: lockstep.")] = 1,
+    noise: Annotated[float, typer.Option("--noise", min=0.0, help="Accelerometer noise, counts, one sigma.")] = 0.0,
+    seed: Annotated[int | None, typer.Option("--seed", min=0, help="Repeats the noise.")] = None,
+) -> None:
+    """Put a simulated rig at a pseudo-terminal or a loopback socket, for any serial program; Ctrl-C ends it."""
+    import os
+
+    from station.device.server import serve
+    from station.device.simulated import Options
+    from station.rig import load_rig
+
+    if pty is None:
+        pty = tcp is None and hasattr(os, "ttyname")
+        tcp = 0 if tcp is None and not pty else tcp
+    model = load_rig(rig)
+
+    def ready(found: Addresses) -> None:
+        for address in (found.pty, found.tcp):
+            if address:
+                say(address)
+        note(f"{model.name} answers; Ctrl-C ends it")
+
+    with suppress(KeyboardInterrupt):
+        serve(model, pty, tcp, ready_callback=ready, options=Options(speed=speed, noise=noise, seed=seed))
