@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,10 +31,13 @@ def blueprint_path(path: Path) -> Path:
 
 
 def write_blueprint(path: Path, columns: Sequence[str]) -> None:
-    """Write the blueprint of the MCAP log of the same name; Rerun knows a recording by its file's stem.
+    """Write the blueprint of the MCAP log of the same name.
 
-    Each line is one field of the message ``station.Sample`` on ``/sample``, chosen by a component mapping.
+    Rerun applies a blueprint to recordings of its application id, which for a log is the file's stem with
+    underscores for points.  Each line is one field of the message ``station.Sample`` on ``/sample``, chosen by a
+    component mapping.
     """
+    _load_rerun()
     import rerun.blueprint as rrb
 
     views = [_view(name, [column for column in wanted if column in columns]) for name, wanted in VIEWS
@@ -41,9 +45,20 @@ def write_blueprint(path: Path, columns: Sequence[str]) -> None:
     blueprint = rrb.Blueprint(rrb.Vertical(*views), rrb.TimePanel(state="collapsed", timeline="message_log_time"))
     try:
         path.unlink(missing_ok=True)
-        blueprint.save(path.stem, os.fspath(path))
+        blueprint.save(path.stem.replace(".", "_"), os.fspath(path))
     except OSError as error:
         raise WorkError(f"{path}: cannot be written ({reason(error)})") from None
+
+
+def _load_rerun() -> None:
+    """Import rerun with only its errors shown: it warns of file names such as ``kp=2.0`` otherwise."""
+    level = os.environ.get("RUST_LOG")
+    os.environ.setdefault("RUST_LOG", "error")
+    try:
+        import_module("rerun")
+    finally:
+        if level is None:
+            del os.environ["RUST_LOG"]
 
 
 def _view(name: str, columns: Sequence[str]) -> rrb.TimeSeriesView:

@@ -13,7 +13,7 @@ import scipy.io
 from station.errors import WorkError
 from station.runs.columns import MAX_ROWS, name_fault
 from station.runs.files import check_input, new_file, reason
-from station.runs.run import MAX_METADATA_BYTES, Run, RunMetadata
+from station.runs.run import Run, RunMetadata
 
 _NUMERIC = {"double", "single", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"}
 _HEADER_BYTES = 128
@@ -38,16 +38,15 @@ def read_mat(path: str | os.PathLike[str]) -> Run:
         raise
     except Exception as error:  # scipy's reader raises whatever its parts raise on a damaged file
         raise WorkError(f"{label}: not a readable MATLAB 5 file ({reason(error)[:120]})") from None
-    text = values.pop("metadata", np.array(["{}"])) if "metadata" in found else np.array(["{}"])
     columns = {name: np.ravel(values[name]) for name in found if name != "metadata"}
-    metadata = RunMetadata.from_json(label, str(text[0]) if text.size else "{}")
+    metadata = RunMetadata.from_json(label, str(values["metadata"][0])) if "metadata" in found else RunMetadata()
     return Run.from_columns(label, path.stem, columns, metadata)
 
 
 def _check_variable(label: str, name: str, shape: tuple[int, ...], kind: str) -> None:
     if name == "metadata":
-        if kind != "char" or len(shape) != 2 or shape[0] > 1 or shape[1] > MAX_METADATA_BYTES:
-            raise WorkError(f"{label}: metadata: one line of text of at most {MAX_METADATA_BYTES} is wanted")
+        if kind != "char" or shape != (1,):
+            raise WorkError(f"{label}: metadata: one line of text is wanted")
     elif kind not in _NUMERIC:
         raise WorkError(f"{label}: variable {name[:40]!r} is a {kind}; a run holds numbers alone")
     elif len(shape) != 2 or min(shape) != 1 or max(shape) > MAX_ROWS:

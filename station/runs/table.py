@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import TextIO
 
@@ -39,16 +40,19 @@ def read_table(path: Path, delimiter: str, names_in_header: bool) -> Table:
             names = (comments[-1][1] if names_in_header and comments else names_line or "").split(delimiter)
             names = [name.strip() for name in names]
             first = [names_line] if names_in_header and names_line is not None else []
-            body = _Body(path, file, first, number)
+            lines = _rows(path, file, first, number)
+            row = next(lines, None)
+            if row is None:
+                return Table(comments, names, np.zeros((0, len(names))))
             try:
-                values = np.loadtxt(body, delimiter=delimiter, comments=None, ndmin=2, dtype=np.float64)
+                values = np.loadtxt(chain([row], lines), delimiter=delimiter, comments=None, ndmin=2, dtype=np.float64)
             except ValueError:
                 raise _bad_row(path, delimiter, len(names), names_in_header) from None
     except UnicodeDecodeError:
         raise WorkError(f"{path}: not UTF-8 text") from None
-    if values.size and values.shape[1] != len(names):
+    if values.shape[1] != len(names):
         raise _bad_row(path, delimiter, len(names), names_in_header)
-    return Table(comments, names, values.reshape(-1, len(names)))
+    return Table(comments, names, values)
 
 
 def _header(path: Path, file: TextIO) -> tuple[list[tuple[int, str]], str | None, int]:
@@ -68,25 +72,19 @@ def _header(path: Path, file: TextIO) -> tuple[list[tuple[int, str]], str | None
     return comments, None, number
 
 
-class _Body:
-    """The rows' lines, each checked for its length, counted."""
-
-    def __init__(self, path: Path, file: TextIO, first: list[str], number: int) -> None:
-        self.path, self.file, self.first, self.number = path, file, first, number
-
-    def __iter__(self) -> Iterator[str]:
-        rows = len(self.first)
-        yield from self.first
-        while line := self.file.readline(MAX_LINE + 1):
-            self.number += 1
-            rows += 1
-            if len(line) > MAX_LINE:
-                raise WorkError(f"{self.path}: line {self.number} is longer than {MAX_LINE} characters")
-            if rows > MAX_ROWS:
-                raise WorkError(f"{self.path}: more than {MAX_ROWS} rows")
-            if line.isspace():
-                raise WorkError(f"{self.path}: line {self.number} is empty")
-            yield line
+def _rows(path: Path, file: TextIO, first: list[str], number: int) -> Iterator[str]:
+    """The rows' lines, each checked for its length; ``number`` is that of the line before them."""
+    yield from first
+    rows = len(first)
+    while line := file.readline(MAX_LINE + 1):
+        number, rows = number + 1, rows + 1
+        if len(line) > MAX_LINE:
+            raise WorkError(f"{path}: line {number} is longer than {MAX_LINE} characters")
+        if rows > MAX_ROWS:
+            raise WorkError(f"{path}: more than {MAX_ROWS} rows")
+        if line.isspace():
+            raise WorkError(f"{path}: line {number} is empty")
+        yield line
 
 
 def _bad_row(path: Path, delimiter: str, fields: int, names_in_header: bool) -> WorkError:
@@ -105,7 +103,7 @@ def _bad_row(path: Path, delimiter: str, fields: int, names_in_header: bool) -> 
                 return WorkError(f"{path}: line {number}: {len(cells)} fields where {fields} are named")
             for cell in cells:
                 try:
-                    np.loadtxt([cell], delimiter=delimiter, comments=None)
+                    np.loadtxt([f"0{delimiter}{cell}"], delimiter=delimiter, comments=None)
                 except ValueError:
                     return WorkError(f"{path}: line {number}: {cell[:40]!r} is not a number")
     return WorkError(f"{path}: not a table of numbers")

@@ -1,0 +1,165 @@
+"""The live log: nothing dropped, nothing blocked, readable whatever ends it."""
+
+import errno
+import subprocess
+import sys
+import textwrap
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from station.errors import WorkError
+from station.runs import McapLogWriter, load_run
+from station.runs.mcap_read import scan_mcap
+from station.runs.run import RunMetadata
+from tests.runs.examples import METADATA, assert_same, full_run
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def row(index: int) -> tuple:
+    return (index, index / 500.0, 100.0, -3.5, 7.0, 0.04, index / 500.0, 5.0 + index / 500.0, 1, 2.0, 1e-4, 1e-3)
+
+
+def test_rows_appended_one_by_one_give_the_run_back(tmp_path):
+    run = full_run(500)
+    columns = run.columns()
+    with McapLogWriter(tmp_path / "a.mcap", METADATA, columns=tuple(columns)) as log:
+        for values in zip(*(values.tolist() for values in columns.values()), strict=True):
+            log.append(values)
+    again = load_run(tmp_path / "a.mcap")
+    assert_same(run, again)
+    assert (tmp_path / "a.rbl").stat().st_size > 1000
+
+
+def test_metadata_known_only_at_the_end_replace_the_first(tmp_path):
+    log = McapLogWriter(tmp_path / "a.mcap", METADATA, blueprint=False)
+    for index in range(10):
+        log.append(row(index))
+    log.close(METADATA.model_copy(update={"accel_zero": 1.25}))
+    log.close()
+    assert load_run(tmp_path / "a.mcap").metadata.accel_zero == 1.25
+    with pytest.raises(WorkError, match="the log is closed"):
+        log.append(row(11))
+
+
+def test_a_running_log_is_readable_while_it_is_written(tmp_path):
+    with McapLogWriter(tmp_path / "a.mcap", METADATA, blueprint=False) as log:
+        for index in range(100):
+            log.append(row(index))
+        _until(lambda: log.rows_written == 100)
+        time.sleep(0.05)
+        run = load_run(tmp_path / "a.mcap")
+        assert len(run) == 100 and run.metadata.model_extra["cut_short"]
+
+
+def _until(done, seconds: float = 10.0) -> None:
+    end = time.monotonic() + seconds
+    while not done():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+def test_a_full_queue_waits_and_drops_nothing(tmp_path):
+    with McapLogWriter(tmp_path / "a.mcap", METADATA, capacity=50, blueprint=False) as log:
+        for index in range(5000):
+            log.append(row(index))
+    assert log.waits > 10
+    np.testing.assert_array_equal(load_run(tmp_path / "a.mcap").n, np.arange(5000))
+
+
+def test_an_existing_log_is_never_replaced_unasked(tmp_path):
+    (tmp_path / "a.mcap").write_bytes(b"kept")
+    with pytest.raises(WorkError, match="exists already"):
+        McapLogWriter(tmp_path / "a.mcap", METADATA)
+    assert (tmp_path / "a.mcap").read_bytes() == b"kept"
+    with McapLogWriter(tmp_path / "a.mcap", METADATA, overwrite=True, blueprint=False) as log:
+        log.append(row(0))
+        log.append(row(1))
+    assert len(load_run(tmp_path / "a.mcap")) == 2
+
+
+@pytest.mark.parametrize(("path", "words"), [("none/a.mcap", "does not exist"), (".", "is a folder")])
+def test_a_place_that_cannot_be_written_is_refused_at_once(path, words, tmp_path):
+    with pytest.raises(WorkError, match=words):
+        McapLogWriter(tmp_path / path, METADATA)
+
+
+def test_a_full_disk_is_told_at_the_next_row_and_what_was_written_stays(tmp_path):
+    log = McapLogWriter(tmp_path / "a.mcap", METADATA, blueprint=False)
+    for index in range(100):
+        log.append(row(index))
+    _until(lambda: log.rows_written == 100)
+    time.sleep(0.1)
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    log._file.write = full  # type: ignore[method-assign]
+    with pytest.raises(WorkError, match="a.mcap: the log cannot be written .No space left on device.*are lost"):
+        for index in range(100, 100000):
+            log.append(row(index))
+            time.sleep(0.001)
+    with pytest.raises(WorkError, match="No space left"):
+        log.close()
+    assert len(load_run(tmp_path / "a.mcap")) >= 100
+
+
+def test_a_row_of_the_wrong_length_is_told(tmp_path):
+    log = McapLogWriter(tmp_path / "a.mcap", METADATA, blueprint=False)
+    log.append((1, 2.0))
+    with pytest.raises(WorkError, match="the log cannot be written"):
+        log.close()
+
+
+def test_an_error_inside_the_block_is_not_hidden_and_the_log_is_closed(tmp_path):
+    with pytest.raises(KeyError), McapLogWriter(tmp_path / "a.mcap", METADATA, blueprint=False) as log:
+        log.append(row(0))
+        log.append(row(1))
+        raise KeyError("mine")
+    assert scan_mcap(tmp_path / "a.mcap").cut_short is None
+
+
+WRITER = textwrap.dedent("""
+    import sys, time
+    from station.runs.mcap_log import McapLogWriter
+    from station.runs.run import RunMetadata
+    log = McapLogWriter(sys.argv[1], RunMetadata(zero_id="bench"), blueprint=False)
+    start = time.perf_counter()
+    index = 0
+    while True:
+        log.append((index, index / 1000, 1.0, 2.0, 3.0, 4.0, 0.0, time.time(), 0, 0.0, 0.0, 0.0))
+        index += 1
+        if index % 10 == 0:
+            print(index, flush=True)
+        time.sleep(max(start + index / 1000 - time.perf_counter(), 0.0))
+""")
+
+
+@pytest.mark.parametrize("seconds", [0.21, 0.37, 0.83])
+def test_a_killed_writer_loses_no_more_than_the_last_moment(seconds, tmp_path):
+    path = tmp_path / "a.mcap"
+    writer = subprocess.Popen([sys.executable, "-c", WRITER, str(path)], stdout=subprocess.PIPE, cwd=ROOT)
+    assert writer.stdout.readline()
+    time.sleep(seconds)
+    killed = time.time()
+    writer.kill()
+    appended = max(int(line) for line in writer.stdout.read().split())
+    writer.wait()
+    run = load_run(path)
+    np.testing.assert_array_equal(run.n, np.arange(len(run)))
+    assert run.metadata.zero_id == "bench" and run.metadata.model_extra["cut_short"]
+    assert len(run) <= appended + 10
+    # 50 ms of the flush and as much again for a busy machine
+    assert killed - run.host_time[-1] < 0.15, (killed - run.host_time[-1], appended, len(run))
+
+
+def test_memory_stays_flat_over_many_rows(tmp_path):
+    log = McapLogWriter(tmp_path / "a.mcap", RunMetadata(), capacity=2000, blueprint=False)
+    for index in range(20000):
+        log.append(row(index))
+    assert len(log._queue) <= 2000
+    log.close()
+    assert len(load_run(tmp_path / "a.mcap")) == 20000

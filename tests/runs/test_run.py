@@ -1,0 +1,122 @@
+"""What a run is: its checks, its slices, its rest."""
+
+import numpy as np
+import pytest
+
+from station.errors import WorkError
+from station.runs.run import Run, RunMetadata
+from tests.runs.examples import full_run
+
+
+def plain(rows: int = 30, **changes: object) -> dict:
+    columns = {"t": np.arange(rows) / 500.0, "reference": np.zeros(rows), "command": np.zeros(rows),
+               "encoder": np.zeros(rows)}
+    return columns | changes
+
+
+def spoiled(name: str, row: int, value: float) -> dict:
+    columns = plain(accel=np.zeros(30))
+    columns[name] = columns[name].copy()
+    columns[name][row] = value
+    return columns
+
+
+@pytest.mark.parametrize("name", ["t", "reference", "command", "encoder", "accel"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_number_that_is_not_finite_is_refused_by_column_and_row(name, value):
+    with pytest.raises(WorkError, match=rf"^made: column {name}, row 7: .*finite") as caught:
+        Run(name="made", **spoiled(name, 7, value))
+    assert "\n" not in str(caught.value)
+
+
+def test_irregular_time_is_refused_by_row():
+    with pytest.raises(WorkError, match="^made: column t, row 12: irregular time"):
+        Run(name="made", **spoiled("t", 12, 12.5 / 500.0))
+    t = np.arange(30) / 500.0
+    t[20:] += 1 / 500.0
+    with pytest.raises(WorkError, match="column t, row 20: irregular time"):
+        Run(name="made", **plain(t=t))
+
+
+def test_time_that_stands_still_or_runs_backwards_is_refused():
+    for t in (np.zeros(30), -np.arange(30) / 500.0):
+        with pytest.raises(WorkError, match="time does not rise"):
+            Run(name="made", **plain(t=t))
+
+
+@pytest.mark.parametrize(("changes", "words"), [
+    ({"command": np.zeros(29)}, "column command has 29 rows, t has 30"),
+    ({"encoder": np.zeros((30, 1))}, "column encoder: one dimension"),
+    ({"encoder": ["a"] * 30}, "column encoder: not numbers"),
+    ({"n": np.arange(30) + 0.5}, "column n, row 0: 0.5 where a whole number"),
+    ({"n": np.zeros(30)}, "column n, row 1: the index does not rise"),
+    ({"latency": np.full(30, np.inf)}, "column latency, row 0: inf"),
+    ({"extra": {"Bad Name": np.zeros(30)}}, "column name 'Bad Name'"),
+    ({"extra": {"metadata": np.zeros(30)}}, "column name 'metadata'"),
+])
+def test_columns_that_do_not_fit_are_refused(changes, words):
+    with pytest.raises(WorkError, match=words):
+        Run(name="made", **plain(**changes))
+
+
+def test_one_row_is_no_run():
+    with pytest.raises(WorkError, match="made: 1 rows"):
+        Run(name="made", **plain(rows=1))
+
+
+def test_a_lost_tick_is_counted_and_named_never_filled():
+    n = np.delete(np.arange(31), 11)
+    run = Run(name="made", **plain(t=n / 500.0, n=n))
+    assert run.lost_samples == 1 and run.sample_rate == 500.0 and len(run) == 30
+    with pytest.raises(WorkError, match="1 samples lost, the first before row 11"):
+        run.require_unbroken()
+    run.slice(0, 11).require_unbroken()
+
+
+def test_a_slice_keeps_time_every_column_and_metadata():
+    run = full_run()
+    part = run.slice(5, 25)
+    assert len(part) == 20 and part.sample_rate == run.sample_rate and part.metadata is run.metadata
+    for name, values in run.columns().items():
+        np.testing.assert_array_equal(part.columns()[name], values[5:25])
+
+
+def test_rest_ends_where_reference_or_encoder_first_moves():
+    reference, encoder = np.zeros(30), np.full(30, 7.0)
+    reference[12:] = 50.0
+    assert Run(name="made", **plain(reference=reference, encoder=encoder)).rest_rows() == 12
+    encoder[9:] = 8.0
+    assert Run(name="made", **plain(reference=reference, encoder=encoder)).rest_rows() == 9
+    assert Run(name="made", **plain()).rest_rows() == 30
+
+
+def test_noise_is_taken_from_the_rest_alone():
+    accel = np.where(np.arange(30) < 20, np.arange(30) % 2, 1000.0)
+    reference = np.where(np.arange(30) < 20, 0.0, 50.0)
+    run = Run(name="made", **plain(accel=accel, reference=reference))
+    assert run.noise_sigma() == pytest.approx(0.5 * np.sqrt(20 / 19), rel=1e-12)
+    assert run.noise_sigma(least_rows=21) is None
+    assert Run(name="made", **plain()).noise_sigma() is None
+
+
+@pytest.mark.parametrize(("entries", "words"), [
+    ({"command_row": 1}, "command_row"), ({"command_row": -9}, "command_row"), ({"start": "thrown"}, "start"),
+    ({"controller": []}, "controller"), ({"accel_zero": float("nan")}, "accel_zero"),
+])
+def test_metadata_that_say_the_impossible_are_refused_by_key(entries, words):
+    with pytest.raises(WorkError, match=rf"^f.mcap: metadata {words}: ") as caught:
+        RunMetadata.from_entries("f.mcap", entries)
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_metadata_are_kept():
+    metadata = RunMetadata.from_json("f", '{"operator": {"name": "A"}, "rig": "sflr", "left": null}')
+    assert RunMetadata.from_json("f", metadata.to_json()) == metadata
+    assert metadata.entries()["operator"] == {"name": "A"} and metadata.entries()["left"] is None
+
+
+@pytest.mark.parametrize("text", ["{", "[1]", '{"a": NaN}', '{"a": Infinity}', "[" * 100000, '"' + "x" * 2_000_000])
+def test_metadata_that_are_not_plain_json_are_refused_in_one_line(text):
+    with pytest.raises(WorkError, match=r"^f: metadata") as caught:
+        RunMetadata.from_json("f", text)
+    assert len(str(caught.value)) < 200
