@@ -1,0 +1,277 @@
+"""The report's figures: Plotly figures without colours, which the page adds for light, dark and paper.
+
+A trace or annotation says its role (measured, before, refit, after, law, points, bound) in ``meta`` or ``name``;
+roles differ by dash and symbol too, so that no figure needs colour to be read.
+"""
+
+from __future__ import annotations
+
+from html import escape
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from station.diagnose.result import DiagnosisResult, Evidence, RunComparison
+from station.model.simulate import Simulation
+from station.view import remaining
+from station.view.labels import place_labels
+from station.view.wording import CHANNELS
+
+MAX_POINTS = 4000
+"""Points per drawn line; longer ones keep the extremes of each stretch."""
+
+ROLES = {"measured": ("measured", "solid", 4.5), "before": ("before", "dash", 2.0),
+         "refit": ("re-fitted", "solid", 1.4), "after": ("after", "solid", 1.6)}
+"""Name, dash and width of each line: a broad band is measured, a dashed line before, a thin one after."""
+_LABELS = {"before": "simulated before", "measured": "measured", "after": "simulated after",
+           "refit": "simulated, re-fitted", "reference": "reference"}
+_UNITS = {"encoder": "encoder counts", "accel": "accelerometer counts"}
+_SPECTRAL_KINDS = {"spectrum", "frequency", "bode"}
+_LINE_KINDS = {"line", "time", "spectrum"}
+
+
+def thin(t: np.ndarray, y: np.ndarray, limit: int = MAX_POINTS) -> tuple[np.ndarray, np.ndarray]:
+    """At most ``limit`` points of y(t), the lowest and highest of each stretch kept."""
+    if len(y) <= limit:
+        return t, y
+    width = -(-len(y) // (limit // 2))
+    whole = len(y) // width * width
+    blocks = y[:whole].reshape(-1, width)
+    starts = np.arange(len(blocks)) * width
+    keep = np.concatenate([starts + blocks.argmin(axis=1), starts + blocks.argmax(axis=1), [0, len(y) - 1]])
+    keep = np.unique(keep)
+    return t[keep], y[keep]
+
+
+def simulations(comparison: RunComparison) -> dict[str, Simulation]:
+    """The simulations to draw beside a run, by role: before and after, or before and re-fitted."""
+    if comparison.after is not None:
+        return {"before": comparison.before, "after": comparison.after}
+    return {"before": comparison.before, "refit": comparison.refit}
+
+
+def channels(comparison: RunComparison) -> list[str]:
+    """The channels that were measured and simulated."""
+    return [c for c in CHANNELS if getattr(comparison.run, c) is not None
+            and getattr(comparison.before, c) is not None]
+
+
+def hero(comparison: RunComparison, channel: str) -> go.Figure:
+    """One run, one channel: measured, simulated before and after, each labelled on its line."""
+    figure = _empty()
+    run = comparison.run
+    lines = {"measured": getattr(run, channel)}
+    lines |= {role: getattr(s, channel) for role, s in simulations(comparison).items()}
+    for role, values in lines.items():
+        name, dash, width = ROLES[role]
+        figure.add_trace(_line(run.t, values, role, name, dash, width))
+    if channel == "encoder" and run.metadata.controller.get("kind") != "open":
+        lines["reference"] = run.reference
+        figure.add_trace(_line(run.t, run.reference, "reference", "reference", "dot", 1.4, legend=False))
+    _label_lines(figure, run.t, lines)
+    figure.update_xaxes(title_text="time (s)", range=[float(run.t[0]), float(run.t[-1])])
+    figure.update_yaxes(title_text=f"{CHANNELS[channel]} ({_UNITS[channel]})")
+    return figure
+
+
+def run_figure(comparison: RunComparison) -> go.Figure:
+    """One run: each channel measured and simulated, and under it the residual before and after."""
+    run, names = comparison.run, channels(comparison)
+    titles = [title for c in names for title in (f"{CHANNELS[c]}, {_UNITS[c]}", f"{CHANNELS[c]}: measured − simulated")]
+    figure = make_subplots(rows=len(titles), cols=1, shared_xaxes=True, vertical_spacing=0.22 / len(titles),
+                           subplot_titles=titles)
+    _plain(figure)
+    for index, channel in enumerate(names):
+        measured = getattr(run, channel)
+        name, dash, width = ROLES["measured"]
+        figure.add_trace(_line(run.t, measured, "measured", name, dash, width, legend=index == 0),
+                         row=2 * index + 1, col=1)
+        for role, simulation in simulations(comparison).items():
+            name, dash, width = ROLES[role]
+            simulated = getattr(simulation, channel)
+            figure.add_trace(_line(run.t, simulated, role, name, dash, width, legend=index == 0),
+                             row=2 * index + 1, col=1)
+            figure.add_trace(_line(run.t, measured - simulated, role, name, dash, 1.2, legend=False),
+                             row=2 * index + 2, col=1)
+    figure.update_xaxes(range=[float(run.t[0]), float(run.t[-1])])
+    figure.update_xaxes(title_text="time (s)", row=len(titles), col=1)
+    return figure
+
+
+def evidence_figure(evidence: Evidence) -> go.Figure:
+    """The picture specific to a cause: the points, their median where they are many, and the fitted law."""
+    figure = _empty(hovermode="closest")
+    x, y = np.asarray(evidence.x, float), np.asarray(evidence.y, float)
+    if evidence.kind in _LINE_KINDS:
+        figure.add_trace(_line(x, y, "measured", "measured", "solid", 1.6))
+    else:
+        many = len(x) > 300
+        figure.add_trace(go.Scatter(x=_floats(x), y=_floats(y), mode="markers", name="measured",
+                                    meta={"role": "points"}, opacity=0.35 if many else 0.9,
+                                    marker={"size": 4 if many else 7, "symbol": "circle"},
+                                    hovertemplate="%{x:.4g}, %{y:.4g}<extra></extra>"))
+        if many:
+            centre, middle, low, high = _binned(x, y)
+            figure.add_trace(go.Scatter(
+                x=_floats(centre), y=_floats(middle), mode="markers", name="median and quartiles",
+                meta={"role": "median"}, marker={"size": 8, "symbol": "diamond"},
+                error_y={"type": "data", "array": _floats(high - middle), "arrayminus": _floats(middle - low),
+                         "thickness": 1.5, "width": 3}, hovertemplate="%{x:.4g}, %{y:.4g}<extra></extra>"))
+            _trim(figure, y, evidence.law_y)
+    if evidence.law_x is not None and evidence.law_y is not None:
+        figure.add_trace(go.Scatter(x=_floats(evidence.law_x), y=_floats(evidence.law_y), mode="lines",
+                                    name="fitted law", meta={"role": "law"}, line={"width": 3, "dash": "solid"},
+                                    hovertemplate="%{x:.4g}, %{y:.4g}<extra></extra>"))
+    figure.update_xaxes(title_text=escape(evidence.xlabel))
+    figure.update_yaxes(title_text=escape(evidence.ylabel))
+    if evidence.kind in _SPECTRAL_KINDS and len(x) and x.min() > 0.0:
+        _log_x(figure, x)
+    if evidence.kind == "spectrum" and len(y) and y.min() > 0.0:
+        figure.update_yaxes(type="log")
+    return figure
+
+
+def spectrum_figure(comparisons: list[RunComparison]) -> go.Figure:
+    """Residual spectra averaged over the runs, before and after, with the encoder's rounding beside them."""
+    names = _common_channels(comparisons)
+    figure = make_subplots(rows=len(names), cols=1, vertical_spacing=0.16,
+                           subplot_titles=[f"{CHANNELS[c]} residual, counts/√Hz" for c in names])
+    _plain(figure, hovermode="closest")
+    for row, channel in enumerate(names, start=1):
+        for role in simulations(comparisons[0]):
+            frequency, density = _mean_density(comparisons, channel, role)
+            name, dash, width = ROLES[role]
+            figure.add_trace(_line(frequency, density, role, name, dash, width, legend=row == 1, group=role,
+                                   hover="%{x:.3g} Hz, %{y:.3g}"), row=row, col=1)
+        rate = comparisons[0].run.sample_rate
+        figure.add_trace(_line(frequency, np.full(len(frequency), np.sqrt(1.0 / 12.0 / (rate / 2.0))), "bound",
+                               "rounding alone", "dot", 1.5, legend=row == 1, group="bound",
+                               hover="%{y:.3g}"), row=row, col=1)
+    _log_x(figure, frequency)
+    figure.update_yaxes(type="log", exponentformat="none", dtick=1)
+    figure.update_xaxes(title_text="frequency (Hz)", row=len(names), col=1)
+    return figure
+
+
+def whiteness_figure(comparisons: list[RunComparison]) -> go.Figure:
+    """Autocorrelation of the residual that remains, one line per run, between the bounds of white noise."""
+    names = _common_channels(comparisons)
+    figure = make_subplots(rows=len(names), cols=1, vertical_spacing=0.16,
+                           subplot_titles=[f"{CHANNELS[c]} residual: autocorrelation" for c in names])
+    _plain(figure, hovermode="closest")
+    for row, channel in enumerate(names, start=1):
+        bound = largest = 0.0
+        for number, comparison in enumerate(comparisons, start=1):
+            test = remaining.whiteness(residual(comparison, channel))
+            bound, largest = max(bound, test.bound), max(largest, float(np.abs(test.autocorrelation).max()))
+            figure.add_trace(go.Scatter(
+                x=test.lags, y=_floats(test.autocorrelation), mode="lines+markers", name=f"run {number}",
+                legendgroup=f"run {number}", showlegend=row == 1, meta={"role": "after"},
+                line={"width": 1}, marker={"size": 5, "symbol": (number - 1) % 30},
+                hovertemplate=f"run {number}, lag %{{x}}: %{{y:.2f}}<extra></extra>"), row=row, col=1)
+        edge = min(1.15 * max(largest, 3.0 * bound), 1.05)
+        figure.update_yaxes(range=[-edge, edge], row=row, col=1)
+        for sign in (1.0, -1.0):
+            figure.add_trace(_line(test.lags, np.full(len(test.lags), sign * bound), "bound", "95 % of white noise",
+                                   "dot", 1.5, legend=row == 1 and sign > 0, group="bound", hover="%{y:.2f}"),
+                             row=row, col=1)
+    figure.update_xaxes(title_text="lag (samples)", row=len(names), col=1)
+    return figure
+
+
+def residual(comparison: RunComparison, channel: str) -> np.ndarray:
+    """Measured minus the best simulation drawn: after, or re-fitted where nothing was added."""
+    best = comparison.after if comparison.after is not None else comparison.refit
+    return getattr(comparison.run, channel) - getattr(best, channel)
+
+
+def hero_choice(result: DiagnosisResult) -> tuple[RunComparison, str] | None:
+    """The run and channel that show best what the simulation gets wrong.
+
+    The first entry of ``wrong`` names them; otherwise the held-out run with the largest error of its angle.
+    """
+    if not result.comparisons:
+        return None
+    by_name = {c.run.name: c for c in result.comparisons}
+    for wrong in result.diagnosis.wrong:
+        if wrong.run in by_name and wrong.channel in channels(by_name[wrong.run]):
+            return by_name[wrong.run], wrong.channel
+    candidates = [c for c in result.comparisons if c.held_out] or result.comparisons
+
+    def error(comparison: RunComparison) -> float:
+        return float(np.nan_to_num(remaining.nrmse(comparison.run.encoder, comparison.before.encoder)))
+    return max(candidates, key=error), "encoder"
+
+
+def _common_channels(comparisons: list[RunComparison]) -> list[str]:
+    return [c for c in CHANNELS if all(c in channels(comparison) for comparison in comparisons)]
+
+
+def _mean_density(comparisons: list[RunComparison], channel: str, role: str) -> tuple[np.ndarray, np.ndarray]:
+    shortest = min(len(c.run.t) for c in comparisons)
+    powers = []
+    for comparison in comparisons:
+        error = getattr(comparison.run, channel) - getattr(simulations(comparison)[role], channel)
+        frequency, density = remaining.amplitude_density(error, comparison.run.sample_rate, min(256, shortest))
+        powers.append(density**2)
+    return frequency, np.sqrt(np.mean(powers, axis=0))
+
+
+def _binned(x: np.ndarray, y: np.ndarray, bins: int = 24) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    parts = np.array_split(np.argsort(x), bins)
+    quartiles = np.array([np.percentile(y[p], [25, 50, 75]) for p in parts])
+    return np.array([np.median(x[p]) for p in parts]), quartiles[:, 1], quartiles[:, 0], quartiles[:, 2]
+
+
+def _log_x(figure: go.Figure, x: np.ndarray) -> None:
+    """A logarithmic frequency axis with plain numbers, 1, 2 and 5 of each decade."""
+    low, high = np.log10(np.min(x)), np.log10(np.max(x))
+    ticks = [m * 10.0**e for e in range(int(np.floor(low)), int(np.ceil(high)) + 1) for m in (1, 2, 5)]
+    figure.update_xaxes(type="log", range=[low - 0.02, high + 0.02], tickvals=ticks,
+                        ticktext=[f"{tick:g}" for tick in ticks])
+
+
+def _trim(figure: go.Figure, y: np.ndarray, law: np.ndarray | None) -> None:
+    """Open on the middle 99 % of a cloud, the law included; a double click shows all."""
+    low, high = np.percentile(y, [0.5, 99.5])
+    if law is not None and len(law):
+        low, high = min(low, float(np.min(law))), max(high, float(np.max(law)))
+    if high > low:
+        figure.update_yaxes(range=[low - 0.08 * (high - low), high + 0.08 * (high - low)])
+
+
+def _label_lines(figure: go.Figure, t: np.ndarray, lines: dict[str, np.ndarray]) -> None:
+    """Write each line's name beside it, preferably where the simulation before is far from the measured line."""
+    apart = np.abs(lines["before"] - lines["measured"])
+    texts = {role: _LABELS[role] for role in sorted(lines, key=list(_LABELS).index)}
+    for role, place in place_labels(t, lines, texts, apart).items():
+        figure.add_annotation(x=float(t[place.index]), y=float(lines[role][place.index]), text=texts[role], name=role,
+                              ax=place.shift, ay=place.drop, showarrow=True, arrowhead=0, arrowwidth=1.2,
+                              xanchor="left" if place.shift > 0 else "right")
+
+
+def _line(x: np.ndarray, y: np.ndarray, role: str, name: str, dash: str, width: float, *, legend: bool = True,
+          group: str | None = None, hover: str = "%{y:.1f}") -> go.Scatter:
+    x, y = thin(np.asarray(x, float), np.asarray(y, float))
+    return go.Scatter(x=_floats(x), y=_floats(y), mode="lines", name=name, legendgroup=group or role,
+                      showlegend=legend, meta={"role": role}, line={"dash": dash, "width": width},
+                      hovertemplate=hover)
+
+
+def _floats(values: np.ndarray) -> np.ndarray:
+    return np.asarray(values, dtype=np.float32)
+
+
+def _empty(hovermode: str = "x unified") -> go.Figure:
+    return _plain(go.Figure(), hovermode, top=30)
+
+
+def _plain(figure: go.Figure, hovermode: str = "x unified", top: int = 56) -> go.Figure:
+    figure.update_layout(template="none", hovermode=hovermode, margin={"l": 56, "r": 12, "t": top, "b": 44},
+                         legend={"orientation": "h", "x": 0, "xref": "container", "xanchor": "left", "y": 1.0,
+                                 "yanchor": "top", "yref": "container"})
+    figure.update_annotations(x=0, xanchor="left", font={"size": 13})
+    figure.update_xaxes(zeroline=False, ticks="outside")
+    figure.update_yaxes(zeroline=True, automargin=True)
+    return figure

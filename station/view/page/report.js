@@ -1,0 +1,71 @@
+"use strict";
+// Draws the figures one after another, in the colours that the style sheet states for screen, dark screen or paper.
+(() => {
+  const figures = JSON.parse(document.getElementById("figures").textContent);
+  const places = [...document.querySelectorAll("[data-figure]")];
+  const narrow = matchMedia("(max-width: 640px)");
+  const coarse = matchMedia("(pointer: coarse)").matches;
+  const config = {responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d"]};
+
+  const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
+
+  function dress(figure) {
+    const ink = colour("ink"), soft = colour("soft"), grid = colour("grid"), paper = colour("paper");
+    for (const trace of figure.data) {
+      const shade = colour(trace.meta.role);
+      if (trace.line) trace.line.color = shade;
+      if (trace.marker) trace.marker.color = shade;
+      if (trace.error_y) trace.error_y.color = shade;
+    }
+    const layout = figure.layout;
+    Object.assign(layout, {paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
+                           font: {family: getComputedStyle(document.body).fontFamily, size: 12.5, color: ink},
+                           hoverlabel: {bgcolor: paper, bordercolor: soft, font: {color: ink}},
+                           modebar: {bgcolor: "rgba(0,0,0,0)", color: soft, activecolor: ink},
+                           legend: {...layout.legend, font: {size: narrow.matches ? 11 : 12.5}, itemwidth: 30},
+                           dragmode: coarse ? false : "zoom"});
+    for (const [key, axis] of Object.entries(layout)) {
+      if (!/^[xy]axis\d*$/.test(key)) continue;
+      Object.assign(axis, {gridcolor: grid, zerolinecolor: colour("line"), linecolor: colour("line"), tickcolor: colour("line")});
+      if (axis.title) axis.title.font = {size: 12.5, color: soft};
+    }
+    for (const note of layout.annotations || []) {
+      if (!note.showarrow) continue;
+      const shade = colour(note.name + "-text") || colour(note.name);
+      Object.assign(note, {font: {color: shade}, arrowcolor: shade, bgcolor: paper, opacity: 0.95});
+    }
+    return figure;
+  }
+
+  function draw(place) {
+    const figure = dress(figures[place.dataset.figure]);
+    return Plotly.react(place, figure.data, {...figure.layout, autosize: true}, config)
+      .then(() => { place.dataset.drawn = "yes"; });
+  }
+
+  const drawAll = () => Promise.all(places.map(draw));
+  const breathe = () => new Promise((done) => setTimeout(done, 0));
+
+  (async () => {
+    for (const place of places) {
+      await draw(place);
+      await breathe();
+    }
+    document.documentElement.dataset.figures = "drawn";
+  })();
+
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawAll);
+  matchMedia("print").addEventListener("change", () => {
+    for (const place of places) if (place.dataset.drawn) Plotly.Plots.resize(place);
+    drawAll();
+  });
+  let opened = [];
+  addEventListener("beforeprint", () => {
+    opened = [...document.querySelectorAll("details:not([open])")];
+    for (const part of opened) part.open = true;
+  });
+  addEventListener("afterprint", () => {
+    for (const part of opened) part.open = false;
+    opened = [];
+  });
+})();

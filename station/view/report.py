@@ -1,0 +1,243 @@
+"""The report of a diagnosis: one HTML file that explains itself, works offline and asks nobody for anything."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import math
+import platform
+from dataclasses import dataclass
+from functools import cache
+from importlib import metadata, resources
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import plotly.graph_objects as go
+from plotly.offline import get_plotlyjs
+from plotly.utils import PlotlyJSONEncoder
+
+import station
+from station.diagnose.result import DiagnosisResult, Estimate, RunComparison
+from station.errors import WorkError
+from station.view import figures, remaining, wording
+
+MAX_RANKED = 12
+"""Rivals shown in the ranking; the rest are counted."""
+_LIBRARIES = ("numpy", "scipy", "numba", "control", "plotly")
+
+
+def write_report(result: DiagnosisResult, path: str | Path) -> None:
+    """Write the report of a diagnosis to ``path``; WorkError where the file cannot be written."""
+    try:
+        Path(path).write_text(report_html(result), encoding="utf-8")
+    except OSError as error:
+        raise WorkError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def report_html(result: DiagnosisResult) -> str:
+    """The report's HTML, Plotly's script included; all text that comes from files is escaped."""
+    page = _Page(result)
+    return _environment().get_template("report.html.j2").render(page=page, words=wording, plotly=get_plotlyjs(),
+                                                                css=_asset("report.css"), js=_asset("report.js"))
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(loader=jinja2.FunctionLoader(_asset), autoescape=True, trim_blocks=True,
+                                     lstrip_blocks=True, undefined=jinja2.StrictUndefined)
+    environment.filters["capitalize_first"] = lambda text: text[:1].upper() + text[1:]
+    return environment
+
+
+def _asset(name: str) -> str:
+    return (resources.files("station.view") / "page" / name).read_text(encoding="utf-8")
+
+
+@dataclass(frozen=True)
+class GainRow:
+    """Errors (nrmse) of one channel of one run: as the rig file says, re-fitted, with the causes."""
+
+    run: int
+    name: str
+    channel: str
+    held_out: bool
+    before: float
+    refit: float
+    after: float | None
+
+
+@dataclass(frozen=True)
+class WhiteRow:
+    """What remains of one channel of one run."""
+
+    run: int
+    channel: str
+    rms: float
+    test: remaining.Whiteness
+
+
+@dataclass(frozen=True)
+class ConstantRow:
+    """One re-fitted constant beside the rig file's, as logarithms of their ratio for the drawing."""
+
+    path: str
+    nominal: float
+    estimate: Estimate | None
+    value: float
+    sigma: float
+
+    @property
+    def sigmas(self) -> float:
+        """Distance from the rig file's value in its stated standard deviations."""
+        ratio = self.value / self.nominal
+        return math.log(ratio) / self.sigma if ratio > 0.0 and self.sigma > 0.0 else math.inf
+
+
+class _Page:
+    """What the template asks for, in the order of the page; figures are kept by name until the script draws them."""
+
+    def __init__(self, result: DiagnosisResult) -> None:
+        self.result = result
+        self.diagnosis = result.diagnosis
+        self.rig = result.rig
+        self.version = station.__version__
+        self.sentence = wording.verdict_sentence(result.diagnosis, result.rig)
+        self.figures: dict[str, go.Figure] = {}
+        self.hero = figures.hero_choice(result)
+        if self.hero is not None:
+            self._add("hero", figures.hero(*self.hero))
+        for index, evidence in enumerate(result.evidence):
+            self._add(f"evidence-{index}", figures.evidence_figure(evidence))
+        for index, comparison in enumerate(result.comparisons):
+            self._add(f"run-{index}", figures.run_figure(comparison))
+        if result.comparisons:
+            self._add("spectrum", figures.spectrum_figure(result.comparisons))
+            self._add("whiteness", figures.whiteness_figure(result.comparisons))
+
+    def _add(self, name: str, figure: go.Figure) -> None:
+        self.figures[name] = figure
+
+    @property
+    def figures_json(self) -> str:
+        """The figures for the script element: JSON without a character that could end it."""
+        return _script_json({name: figure.to_plotly_json() for name, figure in self.figures.items()})
+
+    @property
+    def diagnosis_json(self) -> str:
+        """The diagnosis file's text."""
+        return self.diagnosis.to_json()
+
+    @property
+    def hero_facts(self) -> list[tuple[str, str, str]]:
+        """What the hero's run gets wrong: measure, simulated, measured, in words."""
+        name = self.hero[0].run.name if self.hero else None
+        return [wording.measure(w) for w in self.diagnosis.wrong if w.run == name][:3]
+
+    @property
+    def open(self) -> bool:
+        """Whether the runs leave open which cause it is."""
+        return self.diagnosis.verdict == "ambiguous"
+
+    @property
+    def has_after(self) -> bool:
+        return any(c.after is not None for c in self.result.comparisons)
+
+    @property
+    def ranking(self) -> list[tuple[Any, str]]:
+        """The candidates and why each stands where it does."""
+        named = {(c.effect, c.at) for c in self.diagnosis.causes}
+        first = self.result.ranking[0] if self.result.ranking else None
+        return [(c, wording.why_lost(c, first, (c.effect, c.at) in named)) for c in self.result.ranking[:MAX_RANKED]]
+
+    @property
+    def ranking_left_out(self) -> int:
+        return max(len(self.result.ranking) - MAX_RANKED, 0)
+
+    @property
+    def gain_rows(self) -> list[GainRow]:
+        rows = []
+        for number, c in enumerate(self.result.comparisons, start=1):
+            for channel in figures.channels(c):
+                measured = getattr(c.run, channel)
+                errors = [remaining.nrmse(measured, getattr(s, channel)) if s is not None else None
+                          for s in (c.before, c.refit, c.after)]
+                rows.append(GainRow(number, c.run.name, wording.CHANNELS[channel], c.held_out, *errors))
+        return rows
+
+    @property
+    def gain_scale(self) -> float:
+        """The largest error of the gain table, the width of its drawings."""
+        finite = [e for r in self.gain_rows for e in (r.before, r.refit, r.after)
+                  if e is not None and math.isfinite(e)]
+        return max([*finite, 1e-12])
+
+    @property
+    def white_rows(self) -> list[WhiteRow]:
+        rows = []
+        for number, c in enumerate(self.result.comparisons, start=1):
+            for channel in figures.channels(c):
+                error = figures.residual(c, channel)
+                rows.append(WhiteRow(number, wording.CHANNELS[channel], float(error.std()),
+                                     remaining.whiteness(error)))
+        return rows
+
+    @property
+    def constant_rows(self) -> list[ConstantRow]:
+        nominal, fitted = self.rig.constants(), self.result.extended_rig.constants()
+        estimates = self.result.constants
+        return [ConstantRow(path, value, estimates.get(path), fitted[path],
+                            math.sqrt(self.rig.log_covariance([path])[0, 0]))
+                for path, value in nominal.items() if path in fitted]
+
+    @property
+    def panels(self) -> int:
+        """Channels drawn in the figures of what remains."""
+        return max((len(figures.channels(c)) for c in self.result.comparisons), default=1)
+
+    @staticmethod
+    def clip(sigmas: float) -> float:
+        """A place on the drawing of constants, which spans four standard deviations either way."""
+        return min(max(sigmas, -3.9), 3.9)
+
+    def span(self, row: ConstantRow) -> tuple[float, float] | None:
+        """The interval of a constant on that drawing, where it has one."""
+        if row.estimate is None or row.sigma <= 0.0:
+            return None
+        ratios = (row.estimate.low / row.nominal, row.estimate.high / row.nominal)
+        if min(ratios) <= 0.0 or not all(map(math.isfinite, ratios)):
+            return None
+        low, high = sorted(self.clip(math.log(r) / row.sigma) for r in ratios)
+        return low, high
+
+    @property
+    def rig_changes(self) -> list[tuple[str, str]]:
+        """What the extended rig changes in the rig file: lines with '+', '-' or ' ' before them."""
+        lines = difflib.unified_diff(self.rig.to_toml().splitlines(), self.result.extended_rig.to_toml().splitlines(),
+                                     n=1, lineterm="")
+        return [(line[:1], line) for line in lines if not line.startswith(("---", "+++"))]
+
+    @property
+    def versions(self) -> str:
+        found = []
+        for name in _LIBRARIES:
+            try:
+                found.append(f"{name} {metadata.version(name)}")
+            except metadata.PackageNotFoundError:
+                continue
+        return ", ".join([f"Station {self.version}", f"Python {platform.python_version()}", *found])
+
+    @staticmethod
+    def describe(comparison: RunComparison) -> dict[str, str]:
+        """How a run was made, in words."""
+        run, facts = comparison.run, comparison.run.metadata
+        return {"test": wording.test_words(facts.test), "controller": wording.test_words(facts.controller),
+                "samples": f"{len(run.t)} at {run.sample_rate:.0f} Hz", "start": facts.start,
+                "use": "held out" if comparison.held_out else "used in the fit"}
+
+
+def _script_json(value: Any) -> str:
+    text = json.dumps(value, cls=PlotlyJSONEncoder, separators=(",", ":"))
+    for character in "<>&\u2028\u2029":
+        text = text.replace(character, f"\\u{ord(character):04x}")
+    return text

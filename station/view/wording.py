@@ -1,0 +1,185 @@
+"""Plain words and rounded numbers for what a diagnosis says; the report and the terminal share them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from station.model.effects import catalogue
+
+if TYPE_CHECKING:
+    from station.diagnose.result import Cause, ChannelGain, Diagnosis, Estimate, RankedCause, Rival, Wrong
+    from station.rig import Rig
+
+VERDICTS = {"explained": "explained", "partly_explained": "partly explained", "unexplained": "unexplained",
+            "nothing_missing": "nothing missing", "ambiguous": "ambiguous", "not_enough_data": "not enough data"}
+CHANNELS = {"encoder": "angle", "accel": "acceleration"}
+STATES = {"determined": "determined", "at_bound": "at a bound", "traded_off": "traded off against another",
+          "not_excited": "not excited by these runs"}
+
+_PREFIX = "parameter:"
+_INSIDE = {"drive", "clamp", "accelerometer", "encoder", "clock", "amplifier"}
+# measure: (words, factor, unit)
+_MEASURES = {"overshoot_percent": ("overshoot", 1.0, " %"), "settling_time": ("settling time", 1.0, " s"),
+             "nrmse": ("error", 100.0, " % of the signal")}
+_NO_CAUSE = {"none": "none of these", "nothing": "nothing missing", "": "nothing missing"}
+_SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number with so many significant digits, a dash for None, ``not finite`` values in words."""
+    if value is None:
+        return "–"
+    if not math.isfinite(value):
+        return "infinite" if math.isinf(value) else "undefined"
+    if value != 0.0 and not 1e-4 <= abs(value) < 1e6:
+        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
+        return f"{mantissa} × 10{str(int(exponent)).translate(_SUPERSCRIPT)}".replace("-", "−")
+    decimals = digits - 1 - (math.floor(math.log10(abs(value))) if value else digits - 1)
+    return f"{value:.{max(decimals, 0)}f}".replace("-", "−")
+
+
+def decimal(value: float) -> str:
+    """Two decimals, never a negative zero."""
+    return f"{round(value, 2) + 0.0:.2f}".replace("-", "−")
+
+
+def percent(share: float | None) -> str:
+    """A share as a percentage: ``0.4 %``, ``41 %``; a dash for None."""
+    if share is None or not math.isfinite(share):
+        return "–"
+    value = 100.0 * share
+    decimals = 0 if abs(value) >= 9.95 or value == 0.0 else 1
+    return f"{value:.{decimals}f} %".replace("-", "−")
+
+
+def probability(value: float) -> str:
+    """A probability as a percentage that never rounds to certainty."""
+    if value < 0.001:
+        return "< 0.1 %"
+    if 0.999 < value < 1.0:
+        return "> 99.9 %"
+    return percent(value)
+
+
+def interval(estimate: Estimate) -> str:
+    """``0.0210 N m (0.0191 to 0.0229)``, as many digits as the interval deserves."""
+    low, high, value = estimate.low, estimate.high, estimate.value
+    digits = 3
+    if math.isfinite(high - low) and high > low and value:
+        digits = min(6, max(2, 2 + math.floor(math.log10(abs(value)) - math.log10((high - low) / 2.0))))
+    unit = f" {estimate.unit}" if estimate.unit else ""
+    return f"{number(value, digits)}{unit} ({number(low, digits)} to {number(high, digits)})"
+
+
+def is_constant(effect: str) -> bool:
+    """Whether the cause is a rig constant that is off."""
+    return effect.startswith(_PREFIX)
+
+
+def constant_path(effect: str) -> str:
+    """``parameter:tip.mass`` -> ``tip.mass``."""
+    return effect.removeprefix(_PREFIX)
+
+
+def constant_title(path: str) -> str:
+    """``beam.mass_per_length`` -> ``beam mass per length``."""
+    return path.replace(".", " ").replace("_", " ")
+
+
+def cause_title(effect: str, at: str) -> str:
+    """``Coulomb friction at the motor``, ``wrong tip mass``."""
+    if is_constant(effect):
+        return f"wrong {constant_title(constant_path(effect))}"
+    if effect in _NO_CAUSE:
+        return _NO_CAUSE[effect]
+    known = catalogue().get(effect)
+    title = known.title if known is not None and known.title else effect.replace("_", " ")
+    if not at or at in title:
+        return title
+    return f"{title} {'in' if at in _INSIDE else 'at'} the {at}"
+
+
+def titles(causes: Sequence[Cause | Rival | RankedCause], last: str = "and") -> str:
+    """Causes in words, joined: ``a``, ``a and b``, ``a, b and c``."""
+    words = [cause_title(c.effect, c.at) for c in causes]
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
+
+
+def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
+    """The verdict as one plain sentence for a student."""
+    causes = diagnosis.causes
+    if diagnosis.verdict in ("explained", "partly_explained") and causes:
+        ends = {"explained": "only noise and the rig's stated uncertainty remain on unseen runs",
+                "partly_explained": "it comes closer, but more remains"}
+        return f"The simulation {_accusation(causes, rig)}; with that put right, {ends[diagnosis.verdict]}."
+    if diagnosis.verdict == "ambiguous" and causes:
+        rivals = [*causes[:1], *causes[0].rivals[:2]]
+        certain = f" besides {titles(causes[1:])}" if len(causes) > 1 else ""
+        if len(rivals) == 1:
+            return f"The simulation gets something wrong{certain}; {titles(rivals)} would explain it, " \
+                   "but these runs cannot settle it."
+        return f"The simulation gets something wrong{certain}, but these runs cannot tell whether it is " \
+               f"{titles(rivals, 'or')}."
+    return {"unexplained": "The simulation gets something wrong that no effect known here describes.",
+            "nothing_missing": "Nothing is missing: the simulation agrees with these runs to within noise and "
+                               "the rig's stated uncertainty.",
+            "not_enough_data": "These runs are not enough: even a clear cause would not have shown in them.",
+            }.get(diagnosis.verdict, "The simulation gets something wrong that these runs do not settle.")
+
+
+def _accusation(causes: Sequence[Cause], rig: Rig) -> str:
+    effects = [c for c in causes if not is_constant(c.effect)]
+    constants = [c for c in causes if is_constant(c.effect)]
+    parts = []
+    if effects:
+        parts.append(f"leaves out {titles(effects)}")
+    if constants:
+        nominal = rig.constants()
+        words = []
+        for cause in constants:
+            path, estimate = constant_path(cause.effect), cause.parameters.get("value")
+            values = ""
+            if estimate is not None and path in nominal:
+                values = f" ({number(nominal[path])} {estimate.unit} where these runs say {number(estimate.value)})"
+            words.append(f"a wrong {constant_title(path)}{values}")
+        parts.append(f"has {' and '.join(words)}")
+    return " and ".join(parts)
+
+
+def measure(item: Wrong) -> tuple[str, str, str]:
+    """What one entry of ``wrong`` measures, simulated and measured, in words."""
+    words, factor, unit = _MEASURES.get(item.measure, (item.measure.replace("_", " "), 1.0, ""))
+
+    def shown(value: float | None) -> str:
+        return "never" if value is None and item.measure == "settling_time" else \
+            "–" if value is None else f"{number(factor * value)}{unit}"
+    return f"{CHANNELS[item.channel]} {words}", shown(item.simulated), shown(item.measured)
+
+
+def test_words(test: dict[str, Any] | None) -> str:
+    """A test in words: ``pulse, amplitude 60, duration 2.0``."""
+    if not test:
+        return "not stated"
+    rest = [f"{key.replace('_', ' ')} {value}" for key, value in test.items() if key != "kind"]
+    return ", ".join([str(test.get("kind", "test")), *rest])
+
+
+def gain_rows(diagnosis: Diagnosis) -> list[tuple[str, ChannelGain]]:
+    """The gain per channel, in words, of the channels that have one."""
+    pairs = ((CHANNELS[name], getattr(diagnosis.gain, name)) for name in ("encoder", "accel"))
+    return [(name, gain) for name, gain in pairs if gain is not None]
+
+
+def why_lost(cause: RankedCause, first: RankedCause | None, named: bool) -> str:
+    """Why a candidate stands where it does: its own note, or what the numbers say."""
+    if cause.note:
+        return cause.note
+    if named:
+        return "named as a cause"
+    if cause.held_out_gain is not None and cause.held_out_gain <= 0.0:
+        return "does not help on unseen runs"
+    if first is not None and first.delta_chi2 - cause.delta_chi2 > 4.0:
+        return f"explains less: Δχ² is {number(first.delta_chi2 - cause.delta_chi2)} below the first's"
+    return "as good as the first on these runs" if cause.probability > 0.1 else "no better than the first"

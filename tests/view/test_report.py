@@ -1,0 +1,101 @@
+"""The report's file: its order, its words for every verdict, and that nothing in it comes from elsewhere."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from station.diagnose.result import Diagnosis, Gain
+from station.errors import WorkError
+from station.view.report import report_html, write_report
+from station.view.wording import VERDICTS
+from tests.view import made
+
+
+class Page(HTMLParser):
+    """Ids in order, text outside scripts and styles, and the addresses that elements name."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.ids: list[str] = []
+        self.addresses: list[str] = []
+        self.texts: list[str] = []
+        self._silent = False
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        known = dict(attrs)
+        self._silent = tag in ("script", "style")
+        self.ids += [known["id"]] if known.get("id") else []
+        self.addresses += [str(known[a]) for a in ("src", "href", "action", "data") if a in known]
+
+    def handle_endtag(self, tag: str) -> None:
+        self._silent = False
+
+    def handle_data(self, data: str) -> None:
+        if not self._silent:
+            self.texts.append(data)
+
+    @property
+    def text(self) -> str:
+        return re.sub(r"\s+", " ", " ".join(self.texts))
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_every_verdict_has_its_report_in_the_stated_order(verdict: str) -> None:
+    page = Page(report_html(made.result(verdict)))
+    order = ["verdict", "wrong", "gain", "cause", "rivals", "parameters", "gains", "runs", "remains", "next", "how"]
+    assert [i for i in page.ids if i in order] == order
+    assert VERDICTS[verdict] in page.text
+
+
+def test_it_names_no_address_but_its_own_anchors() -> None:
+    html = report_html(made.result())
+    assert all(a.startswith(("#", "data:")) for a in Page(html).addresses)
+    assert html.count("plotly.js v") == 1
+    assert "default-src 'none'" in html
+
+
+def test_the_numbers_of_the_diagnosis_stand_in_it() -> None:
+    text = Page(report_html(made.result())).text
+    for words in ("Coulomb friction at the motor", "0.0305 N m", "0.0291 to 0.0319", "98 %", "8123",
+                  "Stribeck friction at the motor", "no better, with two parameters more",
+                  "93 % of the error above the noise", "differ by 31 counts", "step-kp1-large", "12 s"):
+        assert words in text, words
+
+
+def test_rivals_lose_for_a_stated_reason() -> None:
+    text = Page(report_html(made.result())).text
+    assert "dead zone in the amplifier 0.3 % 6120 22 % explains less: Δχ² is 2003 below the first's" in text
+    assert "wrong tip mass < 0.1 % 230 −3.0 % does not help on unseen runs" in text
+
+
+def test_names_from_files_are_escaped_everywhere() -> None:
+    html = report_html(made.hostile())
+    assert made.HOSTILE not in html
+    figures = re.search(r'id="figures">(.*?)</script>', html, re.S)
+    assert figures is not None and not set("<>&") & set(figures.group(1))
+
+
+def test_a_diagnosis_without_runs_still_reads() -> None:
+    bare = replace(made.result("not_enough_data"), comparisons=[], ranking=[], evidence=[], constants={})
+    bare = replace(bare, diagnosis=Diagnosis(verdict="not_enough_data", gain=Gain(held_out=[])))
+    text = Page(report_html(bare)).text
+    assert "These runs are not enough" in text and "No run could be drawn" in text
+
+
+def test_a_rig_without_accelerometer_has_one_channel() -> None:
+    full = made.result()
+    single = [replace(c, run=replace(c.run, accel=None), before=replace(c.before, accel=None)) for c in
+              full.comparisons]
+    text = Page(report_html(replace(full, comparisons=single))).text
+    assert "angle residual" not in text and "acceleration 18 %" not in text
+
+
+def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(WorkError, match=r"nowhere.report\.html: cannot be written"):
+        write_report(made.result(), tmp_path / "nowhere" / "report.html")

@@ -1,0 +1,127 @@
+"""The report in a real browser: nothing is asked of the network, every figure is drawn, the gist is above the fold."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from station.view.report import write_report
+from tests.view import made
+from tests.view.browser import Watched, chromium
+
+PHONE, DESK = {"width": 390, "height": 844}, {"width": 1280, "height": 800}
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    write_report(made.result("ambiguous", runs=2), path)
+    return path
+
+
+def until(page: Any, question: str) -> None:
+    """Wait for a condition, asked from outside: the page's own policy forbids waiting inside it."""
+    for _ in range(100):
+        if page.evaluate(question):
+            return
+        page.wait_for_timeout(50)
+    raise AssertionError(f"never true: {question}")
+
+
+def bottom(page: Any, selector: str) -> float:
+    return page.eval_on_selector(selector, "e => e.getBoundingClientRect().bottom")
+
+
+def channels(colour: str) -> list[int]:
+    return [int(value) for value in re.findall(r"\d+", colour)[:3]]
+
+
+def ink(page: Any, selector: str) -> str:
+    return page.eval_on_selector(selector, "e => getComputedStyle(e).color")
+
+
+@pytest.mark.parametrize("size", [PHONE, DESK], ids=["phone", "desk"])
+def test_verdict_picture_and_gain_stand_above_the_fold(browser: Any, report: Path, size: dict[str, int]) -> None:
+    """With the verdict whose sentence is the longest."""
+    page = Watched(browser, viewport=size).open(report)
+    for part in ("#verdict", "#figure-hero", "#gain"):
+        assert 0 < bottom(page, part) <= size["height"], part
+    assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+    assert page.eval_on_selector_all("#figure-hero .scatterlayer .trace path.js-line",
+                                     "lines => lines.every(l => l.getBoundingClientRect().width > 200)")
+    page.context.close()
+
+
+@pytest.mark.parametrize(("verdict", "runs"), [("explained", 5), ("nothing_missing", 2)])
+def test_no_console_error_no_request_and_every_figure_drawn(browser: Any, tmp_path: Path, verdict: str,
+                                                                runs: int) -> None:
+    path = tmp_path / "report.html"
+    result = made.result(verdict, runs=runs)
+    write_report(result, path)
+    watched = Watched(browser, viewport=DESK)
+    page = watched.open(path)
+    assert watched.errors == []
+    assert [url for url in watched.requests if not url.startswith(("file:", "data:", "blob:"))] == []
+    lines = page.evaluate("""() => [...document.querySelectorAll('[data-figure]')].map(place => ({
+        name: place.dataset.figure, drawn: place.dataset.drawn, height: place.querySelector('svg')?.clientHeight || 0,
+        asked: place.data.length, there: place.querySelectorAll('.scatterlayer .trace').length}))""")
+    assert len(lines) == 1 + len(result.evidence) + len(result.comparisons) + 2
+    for figure in lines:
+        assert figure["drawn"] == "yes" and figure["height"] > 200, figure
+        assert figure["there"] == figure["asked"] > 0, figure
+    watched.context.close()
+
+
+def test_hover_tells_values_and_the_legend_hides_a_line(browser: Any, report: Path) -> None:
+    page = Watched(browser, viewport=DESK).open(report)
+    box = page.query_selector("#figure-hero .nsewdrag").bounding_box()
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.wait_for_selector("#figure-hero .hoverlayer .legendtext, #figure-hero .hoverlayer text", timeout=3000)
+    shown = page.eval_on_selector("#figure-hero .hoverlayer", "e => e.textContent")
+    assert "measured" in shown and "before" in shown
+    entry = page.query_selector("#figure-hero .legend .traces:has-text('before') .legendtoggle").bounding_box()
+    page.mouse.click(entry["x"] + 10, entry["y"] + entry["height"] / 2)
+    until(page, "document.getElementById('figure-hero').data.some(t => t.visible === 'legendonly')")
+    page.context.close()
+
+
+def test_dark_mode_and_paper_turn_the_page_and_its_figures(browser: Any, report: Path) -> None:
+    watched = Watched(browser, viewport={"width": 700, "height": 1000}, color_scheme="light")
+    page = watched.open(report)
+    page.emulate_media(color_scheme="dark")
+    until(page, "document.getElementById('figure-hero').layout.font.color === '#eceff3'")
+    assert min(channels(ink(page, "body"))) > 200
+    assert page.eval_on_selector("#figure-hero .xtick text", "e => getComputedStyle(e).fill") == ink(page, "body")
+
+    page.emulate_media(media="print", color_scheme="dark")
+    until(page, "document.getElementById('figure-hero').layout.font.color === '#16191d'")
+    assert max(channels(ink(page, "body"))) < 60
+    widths = page.eval_on_selector_all("[data-figure]", "all => all.map(e => [e.clientWidth, "
+                                                        "e.querySelector('svg.main-svg').clientWidth])")
+    assert all(drawing <= place + 1 for place, drawing in widths)
+    pdf = page.pdf(prefer_css_page_size=True)
+    assert pdf.startswith(b"%PDF") and len(re.findall(rb"/Type /Page\b(?!s)", pdf)) >= 3
+    watched.context.close()
+
+
+def test_hostile_names_stay_text(browser: Any, tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    write_report(made.hostile(), path)
+    watched = Watched(browser, viewport=PHONE)
+    page = watched.open(path)
+    assert page.evaluate("typeof window.stolen") == "undefined"
+    assert page.query_selector_all("main img, main iframe, main b, .plot-container a") == []
+    assert made.HOSTILE in page.inner_text("#runs")
+    assert watched.errors == [] and len(watched.requests) == 1
+    assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+    watched.context.close()
