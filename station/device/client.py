@@ -9,7 +9,17 @@ from typing import Any
 
 from station.device.framing import Decoder, encode
 from station.device.port import TIMEOUT, Port
-from station.device.protocol import LIMITS, MESSAGE_OF_CODE, MESSAGES, PROTOCOL, BoardFlags, Fault, Result, State, Status
+from station.device.protocol import (
+    LIMITS,
+    MESSAGE_OF_CODE,
+    MESSAGES,
+    PROTOCOL,
+    BoardFlags,
+    Fault,
+    Result,
+    State,
+    Status,
+)
 from station.errors import WorkError
 
 ANSWER_SECONDS = 0.3

@@ -58,7 +58,7 @@ class FaultyLine:
         if name not in self.faults.on or name not in ("sample", "command"):
             return frame
         for kind in ("drop", "flip", "duplicate", "late"):
-            if kind == "late" and name == "sample" or self._random.random() >= getattr(self.faults, kind):
+            if (kind == "late" and name == "sample") or self._random.random() >= getattr(self.faults, kind):
                 continue
             self.counts[name, kind] += 1
             if kind == "drop":

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 from dataclasses import dataclass
 from types import TracebackType
@@ -53,10 +54,8 @@ class Port:
 
     def close(self) -> None:
         """Close it; a line already lost is no error here."""
-        try:
+        with contextlib.suppress(SerialException, OSError):
             self.serial.close()
-        except (SerialException, OSError):
-            pass
 
     def __enter__(self) -> Port:
         return self

@@ -25,7 +25,7 @@ from station.device.port import Port
 from station.device.protocol import State
 from station.errors import UsageError, WorkError
 from station.loop.engine import Counts, Session
-from station.loop.sink import LogSink, MemorySink
+from station.loop.sink import LogSink
 from station.loop.timing import DeviceClock, Spread
 from station.rig import Rig
 from station.runs.run import RunMetadata
@@ -65,25 +65,30 @@ def versions() -> dict[str, str]:
     return {"station": station, "python": platform.python_version(), "numpy": np.__version__}
 
 
-def connect(client: Client, rig: Rig) -> Identity:
-    """Identify the device, clear a fault that an earlier run left, and see that it can run this rig's tests."""
+def identify_clear(client: Client) -> Identity:
+    """Identify the device; clear a fault that an earlier run left."""
     identity = client.identify()
     if identity.state == State.FAULT:
         client.clear()
         identity = client.identify()
+    return identity
+
+
+def connect(client: Client, rig: Rig) -> Identity:
+    """Identify the device, clear an old fault, and see that it can run this rig's tests."""
+    identity = identify_clear(client)
     if not identity.rate_min - 1e-3 <= rig.sample_rate <= identity.rate_max + 1e-3:
         raise UsageError(f"{client.port.url}: the device runs at {identity.rate_min:g} to {identity.rate_max:g} Hz, "
                          f"rig {rig.name} at sample_rate = {rig.sample_rate:g}")
     return identity
 
 
-def arm(client: Client, rig: Rig, identity: Identity, limit: float | None = None, answer_ticks: int = 1) -> None:
-    """A fresh identify, configure and arm, as each session needs.  ``limit``: counts, by default the rig's."""
+def arm(client: Client, identity: Identity, rate: float, limit: float, answer_ticks: int = 1) -> None:
+    """A fresh identify, configure and arm, as each session needs; rate in Hz, limit in counts."""
     again = client.identify()
     if again.boot != identity.boot:
         raise WorkError(f"{client.port.url}: the device was reset meanwhile; start again")
-    limit = rig.amplifier.limit if limit is None else limit
-    client.configure(rig.sample_rate, min(math.floor(limit), identity.command_limit), answer_ticks=answer_ticks)
+    client.configure(rate, min(math.floor(limit), identity.command_limit), answer_ticks=answer_ticks)
     client.arm()
 
 
@@ -91,7 +96,7 @@ def measure_rest(client: Client, rig: Rig, identity: Identity, seconds: float = 
     """Wait for rest, then read the sensors with a motor that the device's own limit keeps at zero."""
     client.wait_for_rest(SETTLE_SECONDS)
     readings: list[tuple[int, int]] = []
-    arm(client, rig, identity, limit=0.0)
+    arm(client, identity, rig.sample_rate, limit=0.0)
     rows = max(2, round(seconds * rig.sample_rate))
     Session(client, rows, lambda row, encoder, accel: 0,
             lambda row, clock, encoder, accel, *rest: readings.append((encoder, accel))).run()
@@ -101,7 +106,7 @@ def measure_rest(client: Client, rig: Rig, identity: Identity, seconds: float = 
 
 
 def run_test(port: Port, rig: Rig, compensator: Compensator, reference: np.ndarray, *,
-             log_sink: Callable[[RunMetadata], LogSink] = MemorySink,
+             log_sink: Callable[[RunMetadata], LogSink],
              metadata: RunMetadata | Mapping[str, Any] | None = None,
              progress: Callable[[int, int], None] | None = None, accel_zero: float | None = None,
              relative: bool = True, answer_ticks: int = 1) -> LoopResult:
@@ -127,7 +132,7 @@ def run_test(port: Port, rig: Rig, compensator: Compensator, reference: np.ndarr
     if relative and not compensator.open_loop:
         reference = reference + rest.encoder
     compensator.reset(accel_zero)
-    arm(client, rig, identity, min(rig.amplifier.limit, compensator.limit), answer_ticks)
+    arm(client, identity, rig.sample_rate, min(rig.amplifier.limit, compensator.limit), answer_ticks)
     known = metadata.entries() if isinstance(metadata, RunMetadata) else dict(metadata or {})
     completed = RunMetadata(**{
         "rig": rig.model_dump(exclude_none=True), "controller": compensator.spec, "versions": versions(),
