@@ -1,4 +1,4 @@
-"""The line and the device behind it, without a test: ports, check, device."""
+"""The line and the device behind it, without a test: ports, loopback, check, device."""
 
 from __future__ import annotations
 
@@ -39,6 +39,37 @@ def ports(json: Json = None) -> None:
     console().print(shown)
     if not found:
         say("This machine has no serial port; is the board plugged in?")
+
+
+@command(app, "loopback", PANEL, "station loopback --port sim://sflr")
+def loopback(
+    port: Port,
+    rate: Annotated[float | None, typer.Option("--rate", min=1.0, metavar="HZ", help=(
+        "Samples per second; by default the most that the device offers."))] = None,
+    seconds: Annotated[float, typer.Option("--seconds", min=0.1, max=3600.0, help="How long, s.")] = 2.0,
+    json: Json = None,
+) -> None:
+    """Check a line and its device, the motor held at zero: identity, rate, losses, latency, and what to do."""
+    from station.device.port import open_port
+    from station.loop.loopback import loopback as exchange
+
+    with open_port(port) as line:
+        found = exchange(line, rate, seconds)
+    if json:
+        write_json(json, asdict(found))
+        if json == "-":
+            return
+    say(f"{'Good' if found.ok else 'Not good'}: {found.identity.board} on {port}")
+    for words in found.verdict:
+        say(f"  {words}")
+    shown = table("", "", "median", "99 %", "99.9 %", "longest")
+    arrival = [] if found.identity.virtual_time else [("arrival, us", found.arrival_jitter)]
+    for name, spread in (("answer, us", found.latency), ("device's ticks, us", found.device_jitter), *arrival):
+        row(shown, name, *(f"{1e6 * value:.1f}" for value in asdict(spread).values()))
+    console().print(shown)
+    measured = "virtual time" if found.rate_measured is None else f"{found.rate_measured:.3f} Hz by this host's clock"
+    say(f"{found.counts.samples} samples at {found.rate:g} Hz ({measured}), "
+        f"{100.0 * found.answered:.3f} % answered in time, {found.counts.lost} lost, {found.counts.corrupt} corrupt")
 
 
 @command(app, "check", PANEL, "station check --port sim://sflr --rig sflr")

@@ -14,14 +14,16 @@ from station.model.simulate import simulate
 from station.rig import Rig
 from station.runs.run import Run
 
-SHOWS = 2.0
-"""Counts, rms, by which the effect must change the angle or the acceleration in the demo's tests."""
+CLEAR = 1000.0
+"""Least chi squared that the effect must leave in the demo's tests once the constants are fitted without it."""
 STILL_MOVES = 0.3
 """Share of its range that the arm must keep, or the effect is a broken rig."""
 SIZES = (0.7, 1.4)
 """Range of the factor on the size that the catalogue suggests."""
 LEFT_OUT = frozenset({"clock_scale"})
 """By the angle and the acceleration alone this one is the same as other constants (a known equivalence)."""
+STEP = 1e-3
+"""Change of a constant's logarithm for a derivative."""
 
 
 @dataclass(frozen=True)
@@ -47,11 +49,11 @@ class Sealed:
         return Rig.from_toml(data.decode("utf-8"), source=str(self.path))
 
 
-def draw(nominal: Rig, tests: list[Run], rng: np.random.Generator) -> Rig:
+def draw(nominal: Rig, tests: list[Run], noise: float, rng: np.random.Generator) -> Rig:
     """A rig whose constants lie within two sigma of the nominal's, with one effect drawn from the catalogue.
 
-    ``tests`` are runs whose references, controllers and commands stand for the tests to come: an effect that
-    does not show in them, or keeps the arm from moving, is drawn again.
+    ``tests`` are runs whose references, controllers and commands stand for the tests to come, ``noise`` is the
+    accelerometer's (counts): an effect that does not show in them, or keeps the arm from moving, is drawn again.
     """
     places = [(cls, at) for name, cls in catalogue().items() if name not in LEFT_OUT
               for at in cls.sites if cls.fits(nominal, at)]
@@ -59,8 +61,8 @@ def draw(nominal: Rig, tests: list[Run], rng: np.random.Generator) -> Rig:
         clean = _draw_constants(nominal, rng)
         kind, at = places[rng.integers(len(places))]
         effect = _draw_size(kind, at, clean, rng)
-        if effect is not None and _visible(clean, clean.with_effects([effect]), tests):
-            return clean.with_effects([effect])
+        if effect is not None and _shows(clean, hidden := clean.with_effects([effect]), tests, noise):
+            return hidden
 
 
 def _draw_constants(nominal: Rig, rng: np.random.Generator) -> Rig:
@@ -96,15 +98,45 @@ def _draw_size(kind: type[Effect], at: str, rig: Rig, rng: np.random.Generator) 
         return None
 
 
-def _visible(clean: Rig, hidden: Rig, tests: list[Run]) -> bool:
-    """Whether the effect shows in the tests and leaves the arm moving."""
-    shown = 0.0
-    for run in tests:
-        without, with_it = simulate(clean, run), simulate(hidden, run)
-        if np.ptp(with_it.encoder) < STILL_MOVES * np.ptp(without.encoder):
+def _shows(clean: Rig, hidden: Rig, tests: list[Run], noise: float) -> bool:
+    """Whether the effect shows in the tests beyond what other constants could imitate, and lets the arm move."""
+    without, with_it = _outputs(clean, tests), _outputs(hidden, tests)
+    for before, after in zip(without, with_it, strict=True):
+        if np.ptp(after[0]) < STILL_MOVES * np.ptp(before[0]):
             return False
-        changes = [without.encoder - with_it.encoder]
-        if without.accel is not None:
-            changes.append(without.accel - with_it.accel)
-        shown = max(shown, *(float(np.sqrt(np.mean(np.square(change)))) for change in changes))
-    return shown >= SHOWS
+    return severity(hidden, without, with_it, tests, noise) > CLEAR
+
+
+def severity(hidden: Rig, without: list[np.ndarray], with_it: list[np.ndarray], tests: list[Run],
+             noise: float) -> float:
+    """Chi squared that the best re-fitted rig without the effect leaves, its uncertainty included; linearised.
+
+    min over x of |d - J x|^2 + x' P^-1 x with d the effect's change of the outputs in units of their noise, J their
+    derivative by the logarithms of the constants, whose prior covariance is P; a constant per channel and run is
+    free.  ``without`` and ``with_it``: outputs (channels, rows) per test, counts.
+    """
+    paths = list(hidden.constants())
+    columns = []
+    for path in paths:
+        changed = hidden.with_constants({path: hidden.constants()[path] * float(np.exp(STEP))})
+        columns.append(_flat(_outputs(changed, tests), with_it, noise) / STEP)
+    jacobian, change = np.array(columns).T, _flat(with_it, without, noise)
+    spread = np.linalg.cholesky(hidden.log_covariance(paths))
+    wide = np.vstack([jacobian @ spread, np.eye(len(paths))])
+    aim = np.concatenate([change, np.zeros(len(paths))])
+    found = np.linalg.lstsq(wide, aim, rcond=None)[0]
+    return float(np.sum((aim - wide @ found) ** 2))
+
+
+def _outputs(rig: Rig, tests: list[Run]) -> list[np.ndarray]:
+    """Encoder and accelerometer (channels, rows) of each test, counts, not rounded."""
+    made = [simulate(rig, run, rounding=False) for run in tests]
+    return [np.array([one.encoder] if one.accel is None else [one.encoder, one.accel]) for one in made]
+
+
+def _flat(outputs: list[np.ndarray], reference: list[np.ndarray], noise: float) -> np.ndarray:
+    """Differences in units of their noise, each channel's mean taken off, as one vector."""
+    sigma = np.sqrt(1.0 / 12.0 + np.array([0.0, noise**2]))
+    return np.concatenate([
+        ((a - b - (a - b).mean(axis=1, keepdims=True)) / sigma[: len(a), None]).ravel()
+        for a, b in zip(outputs, reference, strict=True)])
