@@ -1,7 +1,7 @@
 """The linear model in state space, continuous and exactly sampled.
 
-x = [q, q'], x' = A x + B u (see assembly), u the command.  Outputs in counts: the encoder N/(2 pi) theta_base, and the accelerometer's gain times the
-tip's acceleration, a row of q'' = -M^-1 K q - M^-1 C q' + M^-1 F u.
+x = [q, q'], x' = A x + B u (see assembly), u the command.  Outputs in counts: the encoder N/(2 pi) theta_base,
+and the accelerometer's gain times the tip's acceleration, a row of q'' = -M^-1 K q - M^-1 C q' + M^-1 F u.
 """
 
 from __future__ import annotations
@@ -10,13 +10,16 @@ import control
 import numpy as np
 import scipy.linalg
 
-from station.model.assembly import assemble, state_matrix, torque_input
+from station.model.assembly import Assembly, assemble, state_matrix, torque_input
 from station.rig import Rig
 
 
-def state_space(rig: Rig) -> control.StateSpace:
-    """Continuous model from command (counts) to encoder and accelerometer (counts); effects are left out."""
-    parts = assemble(rig)
+def state_space(rig: Rig, parts: Assembly | None = None) -> control.StateSpace:
+    """Continuous model from command (counts) to encoder and accelerometer (counts); effects are left out.
+
+    ``parts``: other matrices for the same rig, such as a lumped chain; by default those of ``assemble``.
+    """
+    parts = assemble(rig) if parts is None else parts
     n = parts.size
     a = state_matrix(parts)
     b = rig.motor.gain * torque_input(parts, parts.unit(parts.motor))
