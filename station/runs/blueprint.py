@@ -46,7 +46,7 @@ def write_blueprint(path: Path, columns: Sequence[str]) -> None:
     try:
         path.unlink(missing_ok=True)
         blueprint.save(path.stem.replace(".", "_"), os.fspath(path))
-    except OSError as error:
+    except (OSError, RuntimeError) as error:
         raise WorkError(f"{path}: cannot be written ({reason(error)})") from None
 
 

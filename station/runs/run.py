@@ -40,14 +40,13 @@ class RunMetadata(BaseModel):
 
     def entries(self) -> dict[str, Any]:
         """The keys that say something: those declared and not None, then the unknown ones kept."""
-        return {key: value for key, value in self.model_dump().items()
-                if value is not None or key not in type(self).model_fields}
+        return {key: value for key, value in self if value is not None or key not in type(self).model_fields}
 
     def to_json(self) -> str:
         """One line of JSON; WorkError when it is too large or holds what JSON cannot."""
         try:
             text = json.dumps(self.entries(), allow_nan=False, default=_plain)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, RecursionError) as error:
             raise WorkError(f"metadata: {error}") from None
         if len(text) > MAX_METADATA_BYTES:
             raise WorkError(f"metadata: {len(text)} bytes, at most {MAX_METADATA_BYTES}")
@@ -85,12 +84,19 @@ def _not_a_number(text: str) -> Any:
     raise ValueError(f"{text} is not JSON")
 
 
+def _finite(text: str) -> float:
+    value = float(text)
+    if not np.isfinite(value):
+        raise ValueError(f"{text[:20]} is too large")
+    return value
+
+
 def parse_json(label: str, text: str) -> Any:
-    """JSON without NaN and Infinity and of bounded size; WorkError in one line otherwise."""
+    """JSON without NaN and infinity and of bounded size; WorkError in one line otherwise."""
     if len(text) > MAX_METADATA_BYTES:
         raise WorkError(f"{label}: {len(text)} bytes, at most {MAX_METADATA_BYTES}")
     try:
-        return json.loads(text, parse_constant=_not_a_number)
+        return json.loads(text, parse_constant=_not_a_number, parse_float=_finite)
     except (ValueError, RecursionError) as error:
         raise WorkError(f"{label}: not JSON ({error})") from None
 

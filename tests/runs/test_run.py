@@ -115,7 +115,8 @@ def test_unknown_metadata_are_kept():
     assert metadata.entries()["operator"] == {"name": "A"} and metadata.entries()["left"] is None
 
 
-@pytest.mark.parametrize("text", ["{", "[1]", '{"a": NaN}', '{"a": Infinity}', "[" * 100000, '"' + "x" * 2_000_000])
+@pytest.mark.parametrize("text", ["{", "[1]", '{"a": NaN}', '{"a": Infinity}', '{"a": 1e400}', "[" * 100000,
+                                  '"' + "x" * 2_000_000])
 def test_metadata_that_are_not_plain_json_are_refused_in_one_line(text):
     with pytest.raises(WorkError, match=r"^f: metadata") as caught:
         RunMetadata.from_json("f", text)
