@@ -1,7 +1,7 @@
 """The independent truth: rigs with hidden effects, simulated by other means than the station's own model.
 
 Nothing here imports `station.model`, `station.control` or `station.diagnose`; of the project only the `Run`
-record is used. Beam: 12 Hermite elements, reduced to 8 modes with the root held. Motion: the linear part
+record is used. Beam: 16 Hermite elements, reduced to 8 modes with the root held. Motion: the linear part
 moves exactly (matrix exponential), the nonlinear torques are implicit means over steps of 0.1 ms, dry
 friction is a complementarity.
 
@@ -42,7 +42,7 @@ How the contract is read where it leaves room:
   constant here.
 - accelerometer_centripetal takes the base's speed; its fraction may have either sign.
 
-Rigs are drawn within 2 sigma (`rigs.draw_logs`) and kept if `cases.behaves`. Severity (`cases.severity`) is
+Rigs are drawn within 2 sigma (`rigs.draw_logs`) and kept if `cases.behaves`. Severity (`cases.Severity`) is
 the chi squared lost by the best re-fitted rig without the cause.
 
 Outside the catalogue (`OUTSIDE`), none of which is a law of the contract: presliding_friction (a bristle
@@ -59,6 +59,7 @@ from __future__ import annotations
 from .cases import (
     Case,
     Conditions,
+    Severity,
     Test,
     behaves,
     draw_tests,
@@ -66,7 +67,6 @@ from .cases import (
     multisine_test,
     prbs_test,
     pulse_test,
-    severity,
     simulate_case,
     step_test,
     sweep_test,
@@ -89,6 +89,7 @@ __all__ = [
     "Effect",
     "Output",
     "RigDict",
+    "Severity",
     "Test",
     "Truth",
     "behaves",
@@ -103,7 +104,6 @@ __all__ = [
     "prbs_test",
     "pulse_test",
     "scaled",
-    "severity",
     "simulate_case",
     "step_test",
     "sweep_test",

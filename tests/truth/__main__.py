@@ -28,9 +28,7 @@ def main() -> None:
     """Parse the arguments, make the case, write it."""
     parser = argparse.ArgumentParser(prog="python -m tests.truth", description=__doc__)
     parser.add_argument("seed", type=int)
-    parser.add_argument(
-        "effect", nargs="*", help="names of effects, or parameter:TABLE.KEY; none: a clean rig"
-    )
+    parser.add_argument("effect", nargs="*", help="names of effects, or parameter:TABLE.KEY; none: a clean rig")
     parser.add_argument("--band", choices=["clear", "subtle", "drawn"], default="clear")
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()

@@ -41,9 +41,7 @@ def step_test(rate: float, controller: str, amplitude: float, duration: float = 
     return Test({"kind": "step", "amplitude": amplitude, "duration": duration}, controller, reference)
 
 
-def pulse_test(
-    rate: float, amplitude: float, width: float = 0.1, both: bool = True, duration: float = 2.0
-) -> Test:
+def pulse_test(rate: float, amplitude: float, width: float = 0.1, both: bool = True, duration: float = 2.0) -> Test:
     """Open loop: rest, a pulse of `amplitude` counts, and from 60 % of the run on the opposite one."""
     reference = np.zeros(round(duration * rate))
     first, long = round(REST * rate), round(width * rate)
@@ -74,9 +72,7 @@ def sweep_test(
     return Test(kind, controller, reference)
 
 
-def multisine_test(
-    rate: float, amplitude: float, seed: int, duration: float = 4.0, controller: str = "p1"
-) -> Test:
+def multisine_test(rate: float, amplitude: float, seed: int, duration: float = 4.0, controller: str = "p1") -> Test:
     """Rest, then twelve sines from 0.5 to 12 Hz, random phases, scaled so that the largest value is
     `amplitude`."""
     rng = np.random.default_rng(seed)
@@ -116,9 +112,7 @@ def draw_tests(rng: np.random.Generator, rig: RigDict = SFLR, count: int | None 
 
     def pulse() -> Test:
         width = float(rng.choice([0.06, 0.1, 0.2]))
-        return pulse_test(
-            rate, amplitude(60, 180), width, bool(rng.random() < 0.7), float(rng.choice([2.0, 3.0]))
-        )
+        return pulse_test(rate, amplitude(60, 180), width, bool(rng.random() < 0.7), float(rng.choice([2.0, 3.0])))
 
     count = int(rng.integers(5, 9)) if count is None else count
     tests = [pulse(), *(step(c) for c in rng.permutation(loops)[:2])]
@@ -194,119 +188,140 @@ def simulate_case(
     return outputs
 
 
-def _weighted(outputs: Sequence[Output], conditions: Sequence[Conditions]) -> Array:
-    """All outputs in one column, each over the sigma of its noise and rounding."""
+def _weighted(outputs: Sequence[Output], conditions: Sequence[Conditions], read: bool = False) -> Array:
+    """All outputs in one column, each over the sigma of its noise and rounding; `read`: as read, else before that."""
     parts = []
     for out, c in zip(outputs, conditions, strict=True):
-        parts.append(out.encoder / math.sqrt(0.05**2 + 1 / 12))
-        if out.accel is not None:
-            parts.append(out.accel / math.sqrt(c.accel_sigma**2 + 1 / 12))
+        encoder, accel = (out.encoder, out.accel) if read else out.unrounded
+        parts.append(encoder / math.sqrt(0.05**2 + 1 / 12))
+        if accel is not None:
+            parts.append(accel / math.sqrt(c.accel_sigma**2 + 1 / 12))
     return np.concatenate(parts)
 
 
-def severity(
-    constants: RigDict,
-    logs: dict[str, float],
-    commons: dict[str, float],
-    cause: Effect,
-    others: Sequence[Effect],
-    tests: Sequence[Test],
-    conditions: Sequence[Conditions],
-    turns: int = 3,
-) -> float:
-    """Chi squared that the best re-fitted rig without `cause` loses against the rig with it.
+class Severity:
+    """Chi squared that the best re-fitted rig without a cause loses against the rig with it, on the case's own data.
 
-    `constants` is the drawn rig, `logs` and `commons` what it was drawn with (`draw_logs`), which the
-    uncertainty weighs. Fitted without the cause, by Gauss-Newton: every uncertain constant and common factor
-    under its uncertainty, each run's starting angle and accelerometer offset freely. The same freedom,
-    linearised, is granted with the cause; a parameter cause has its own uncertainty set aside there. Outputs
-    are exact: no rounding, no noise.
+    `constants` is the drawn rig, `logs` and `commons` what it was drawn with (`draw_logs`), which the uncertainty
+    weighs; `others` are causes that both rigs have. Fitted without the cause, by Gauss-Newton from the true constants:
+    every uncertain constant and common factor under its uncertainty, each run's starting angle and accelerometer
+    offset freely. The same freedom, linearised, is granted with the cause; a parameter cause has its own uncertainty
+    set aside there. The fit sees outputs without rounding and noise; then both rigs, their loops rounding as the
+    station's do, are held against the rounded and noisy data. What hides below the rounding so counts for nothing.
     """
-    sigmas = constants["uncertainty"]
-    keys = uncertain_keys(constants)
-    tables = sorted({k.split(".")[0] for k in keys} & set(sigmas))
-    own = np.array([own_sigma(sigmas, k) for k in keys] + [sigmas[t] for t in tables])
-    drawn = [logs[k] for k in keys]
-    drawn += [next(v for k, v in commons.items() if k.startswith(t + ".") and v != 0.0) for t in tables]
-    z0 = np.array(drawn) / own
-    n_runs = len(tests)
-    truth = _weighted(simulate_case(constants, [*others, cause], tests, conditions, exact=True), conditions)
 
-    def rig_at(z: Array) -> RigDict:
-        move = (z[: len(own)] - z0) * own
-        by_key = dict(zip(keys, move, strict=False))
-        for t, shift in zip(tables, move[len(keys) :], strict=True):
+    def __init__(
+        self,
+        constants: RigDict,
+        logs: dict[str, float],
+        commons: dict[str, float],
+        tests: Sequence[Test],
+        conditions: Sequence[Conditions],
+        others: Sequence[Effect] = (),
+    ) -> None:
+        self.constants, self.tests, self.conditions, self.others = constants, tests, conditions, list(others)
+        sigmas = constants["uncertainty"]
+        self.keys = uncertain_keys(constants)
+        self.tables = sorted({k.split(".")[0] for k in self.keys} & set(sigmas))
+        self.own = np.array([own_sigma(sigmas, k) for k in self.keys] + [sigmas[t] for t in self.tables])
+        drawn = [logs[k] for k in self.keys]
+        drawn += [max((v for k, v in commons.items() if k.startswith(f"{t}.")), key=abs) for t in self.tables]
+        self.z0 = np.array(drawn) / self.own
+        n = len(tests)
+        self.start = np.r_[self.z0, np.zeros(2 * n)]
+        self.weight = np.r_[np.ones(len(self.own)), np.full(2 * n, 1e-3)]
+        per_row = 2 if constants.get("accelerometer") and constants.get("beam") else 1
+        self.edges = np.cumsum([0] + [len(t.reference) * per_row for t in tests])
+        self.y0 = self._model(self.start)
+        self.s0 = self._slopes(self.start, self.y0)
+
+    def _model(self, z: Array, exact: bool = True) -> Array:
+        """Weighted unrounded outputs without the cause; z: constants in sigmas, angles in 0.01 rad, offsets in counts.
+
+        `exact` leaves rounding and noise out of the loops too.
+        """
+        m, n = len(self.own), len(self.tests)
+        moved = (z[:m] - self.z0) * self.own
+        by_key = dict(zip(self.keys, moved, strict=False))
+        for table, shift in zip(self.tables, moved[len(self.keys) :], strict=True):
             for name in ("inertia", "damping", "gain"):
-                if f"{t}.{name}" in by_key:
-                    by_key[f"{t}.{name}"] += shift
-        return shifted(constants, by_key)
-
-    def around(z: Array) -> list[Conditions]:
-        angles, offsets = z[len(own) : len(own) + n_runs], z[len(own) + n_runs :]
-        return [
-            replace(
-                c, start="released", start_angle=c.start_angle + 0.01 * a, accel_offset=c.accel_offset + b
-            )
-            for c, a, b in zip(conditions, angles, offsets, strict=True)
+                if f"{table}.{name}" in by_key:
+                    by_key[f"{table}.{name}"] += shift
+        around = [
+            replace(c, start_angle=c.start_angle + 0.01 * a, accel_offset=c.accel_offset + b)
+            for c, a, b in zip(self.conditions, z[m : m + n], z[m + n :], strict=True)
         ]
+        outputs = simulate_case(shifted(self.constants, by_key), self.others, self.tests, around, exact=exact)
+        return _weighted(outputs, around)
 
-    def model(z: Array) -> Array:
-        return _weighted(simulate_case(rig_at(z), others, tests, around(z), exact=True), conditions)
-
-    size = len(own) + 2 * n_runs
-    edges = np.cumsum([0] + [len(t.reference) * (2 if constants.get("accelerometer") else 1) for t in tests])
-
-    def slopes(z: Array, y: Array) -> Array:
-        s = np.zeros((len(y), size))
-        for k in range(len(own)):
-            d = np.zeros(size)
-            d[k] = 1e-3 / max(own[k], 0.05)
-            s[:, k] = (model(z + d) - y) / d[k]
-        for block in (len(own), len(own) + n_runs):  # one run's nuisance moves that run alone
-            d = np.zeros(size)
-            d[block : block + n_runs] = 1e-3
-            moved = (model(z + d) - y) / 1e-3
-            for r in range(n_runs):
-                s[edges[r] : edges[r + 1], block + r] = moved[edges[r] : edges[r + 1]]
+    def _slopes(self, z: Array, y: Array) -> Array:
+        m, n = len(self.own), len(self.tests)
+        s = np.zeros((len(y), len(z)))
+        for k in range(m):
+            d = np.zeros(len(z))
+            d[k] = 1e-5 / max(self.own[k], 0.05)
+            s[:, k] = (self._model(z + d) - y) / d[k]
+        for block in (m, m + n):  # one run's nuisance moves that run alone
+            d = np.zeros(len(z))
+            d[block : block + n] = 1e-3
+            moved = (self._model(z + d) - y) / 1e-3
+            for r in range(n):
+                rows = slice(self.edges[r], self.edges[r + 1])
+                s[rows, block + r] = moved[rows]
         return s
 
-    weight = np.zeros(size)
-    weight[: len(own)] = 1.0
-    weight[len(own) :] = 1e-3
+    def of(self, cause: Effect, turns: int = 12) -> float:
+        """The severity of `cause`; with few turns an upper bound of it. inf where the rig runs away."""
+        effects = [*self.others, cause]
+        truth = _weighted(
+            simulate_case(self.constants, effects, self.tests, self.conditions, exact=True), self.conditions
+        )
+        if not np.all(np.isfinite(truth)):
+            return math.inf
+        z, y, s = self.start, self.y0, self.s0
+        free = self.weight.copy()
+        name = cause["effect"].removeprefix("parameter:")
+        if name in self.keys:
+            free[self.keys.index(name)] = 0.0
 
-    def objective(y: Array, z: Array) -> float:
-        return float(np.sum((truth - y) ** 2) + np.sum((weight * z) ** 2))
+        def objective(y: Array, z: Array) -> float:
+            return float(np.sum((truth - y) ** 2) + np.sum((self.weight * z) ** 2))
 
-    z = np.r_[z0, np.zeros(2 * n_runs)]
-    y = model(z)
-    s = slopes(z, y)
-    free = weight.copy()
-    name = cause["effect"].removeprefix("parameter:")
-    if name in keys:
-        free[keys.index(name)] = 0.0
-    # With the cause: truth itself, then the constants relax towards nominal as far as the data let them.
-    relax = np.linalg.lstsq(np.vstack([s, np.diag(free)]), np.r_[np.zeros(len(y)), -free * z], rcond=None)[0]
-    with_cause = float(np.sum((s @ relax) ** 2) + np.sum((free * (z + relax)) ** 2))
-
-    best = objective(y, z)
-    for turn in range(turns):
-        if turn:
-            s = slopes(z, y)
-        move = np.linalg.lstsq(np.vstack([s, np.diag(weight)]), np.r_[truth - y, -weight * z], rcond=None)[0]
-        for shrink in (1.0, 0.5, 0.2, 0.05):
-            try:
-                y_new = model(z + shrink * move)
-            except (ValueError, OverflowError):
-                continue
-            value = objective(y_new, z + shrink * move)
-            if np.isfinite(value) and value < best:
+        best = objective(y, z)
+        for turn in range(turns):
+            if turn:
+                s = self._slopes(z, y)
+            move = _least_squares(s, truth - y, self.weight, z)
+            reach = min(1.0, 6.0 / float(np.max(np.abs(move[: len(self.own)]))))
+            for shrink in reach * np.array([1.0, 0.4, 0.1, 0.02]):
+                y_new = self._model(z + shrink * move)
+                value = objective(y_new, z + shrink * move)
+                if np.isfinite(value) and value < best:
+                    break
+            else:
                 break
-        else:
-            break
-        gained, best, z, y = best - value, value, z + shrink * move, y_new
-        if gained < 0.01 * best:
-            break
-    return best - with_cause
+            gained, best, z, y = best - value, value, z + shrink * move, y_new
+            if gained < 0.02 * max(best, 5.0):
+                break
+        outputs = simulate_case(self.constants, effects, self.tests, self.conditions)
+        data = _weighted(outputs, self.conditions, read=True)
+        noise = data - _weighted(outputs, self.conditions)
+        # Both rigs' constants at last make of the noise, and of nearness to nominal, what pays.
+        return _best(s, data - self._model(z, exact=False), self.weight, z) - _best(self.s0, noise, free, self.start)
+
+
+def _least_squares(s: Array, residual: Array, weight: Array, z: Array) -> Array:
+    """The move that minimises |residual - s move|^2 + |weight (z + move)|^2, columns scaled alike."""
+    scale = 1.0 / np.sqrt(np.sum(s * s, axis=0) + weight * weight + 1e-12)
+    scaled_s = s * scale
+    normal = scaled_s.T @ scaled_s + np.diag((weight * scale) ** 2 + 1e-12)
+    return scale * np.linalg.solve(normal, scaled_s.T @ residual - scale * weight * weight * z)
+
+
+def _best(s: Array, residual: Array, weight: Array, z: Array) -> float:
+    """The minimum of |residual - s move|^2 + |weight (z + move)|^2 over the move."""
+    move = _least_squares(s, residual, weight, z)
+    return float(np.sum((residual - s @ move) ** 2) + np.sum((weight * (z + move)) ** 2))
 
 
 def behaves(outputs: Sequence[Output], tests: Sequence[Test], rig: RigDict) -> bool:
@@ -363,10 +378,11 @@ def make_case(
         conditions = _draw_conditions(rng, drawn_tests, accel_sigma)
         if not behaves(simulate_case(rig, [], drawn_tests, conditions), drawn_tests, rig):
             continue
+        measure = Severity(rig, own, common, drawn_tests, conditions)
         settled: list[Effect] = []
         grades: dict[str, float] = {}
         for wanted in effects:
-            effect = _sized(wanted, rig, nominal, own, common, drawn_tests, conditions, target, rng)
+            effect = _sized(wanted, rig, nominal, common, measure, target, rng)
             if effect is None:
                 reason = f"no size of {wanted} reached {target}"
                 break
@@ -383,9 +399,7 @@ def make_case(
     raise ValueError(f"seed {seed}, {list(effects)}: {reason}")
 
 
-def _draw_conditions(
-    rng: np.random.Generator, tests: Sequence[Test], sigma: float | None
-) -> list[Conditions]:
+def _draw_conditions(rng: np.random.Generator, tests: Sequence[Test], sigma: float | None) -> list[Conditions]:
     """Starting angles of a bench that is not zeroed between runs; noise like that of the measured rig."""
     level = float(rng.uniform(0.4, 1.3)) if sigma is None else sigma
     spread = float(rng.choice([0.25, 3.0])) * 2 * math.pi / 1024
@@ -422,23 +436,18 @@ def _sized(
     wanted: str | tuple[str, str] | Effect,
     rig: RigDict,
     nominal: RigDict,
-    own: dict[str, float],
     common: dict[str, float],
-    tests: Sequence[Test],
-    conditions: Sequence[Conditions],
+    severity: Severity,
     target: tuple[float, float] | None,
     rng: np.random.Generator,
 ) -> tuple[Effect, float] | None:
-    """The effect at a size whose severity lies in the band, and that severity; None where there is no such
-    size."""
+    """The effect at a size whose severity lies in the band, and that severity; None where none does."""
+    tests, conditions = severity.tests, severity.conditions
 
-    def grade(effect: Effect) -> float:
-        try:
-            if not behaves(simulate_case(rig, [effect], tests, conditions), tests, rig):
-                return math.nan
-            return severity(rig, own, common, effect, [], tests, conditions)
-        except (ValueError, np.linalg.LinAlgError):
+    def grade(effect: Effect, turns: int = 12) -> float:
+        if not behaves(simulate_case(rig, [effect], tests, conditions), tests, rig):
             return math.nan
+        return severity.of(effect, turns)
 
     if isinstance(wanted, dict):
         return wanted, grade(wanted)
@@ -457,15 +466,13 @@ def _sized(
         return (effect, grade(effect)) if effect else None
     goal = math.exp(rng.uniform(*(math.log(x) for x in target)))
     low, high, factor = None, None, 1.0
-    for _ in range(14):
+    for _ in range(16):
         effect = sizes.scaled(shape, factor, rig, centre)
-        value = grade(effect) if effect else math.nan
-        if (
-            effect
-            and target[0] <= value <= target[1]
-            and (low is not None or high is not None or value > 0.3 * goal)
-        ):
-            return effect, value
+        value = grade(effect, 1) if effect else math.nan
+        if effect and 0.6 * goal < value < 1.6 * goal:
+            value = grade(effect)
+            if target[0] <= value <= target[1]:
+                return effect, value
         if effect and value < goal:
             low = factor
         else:
@@ -473,9 +480,9 @@ def _sized(
         if low is None:
             if name.startswith("parameter:"):
                 return None  # plainer than asked at the smallest size that is a cause, or not a workable rig
-            factor = high / 2.0
+            factor = high / 3.0
         elif high is None:
-            factor = low * 2.0
+            factor = low * (1.3 if name.startswith("parameter:") else 3.0)
         else:
             factor = math.sqrt(low * high)
             if high / low < 1.01:

@@ -43,13 +43,9 @@ C_SHIFT, E_SHIFT, A_SHIFT = (INDEX[n] for n in ("command_shift", "encoder_shift"
 DEAD, CLIP, CURVE, RATIO, BIAS = (INDEX[n] for n in ("dead_zone", "clip", "curve", "ratio", "bias"))
 FADE, FADE_TIME = INDEX["fade"], INDEX["fade_time"]
 COUNTS, ZERO, ECC_A, ECC_P = (INDEX[n] for n in ("counts", "zero", "ecc_amplitude", "ecc_phase"))
-ACC_GAIN, ACC_OFFSET, ACC_LIMIT, CENTRI = (
-    INDEX[n] for n in ("acc_gain", "acc_offset", "acc_limit", "centripetal")
-)
+ACC_GAIN, ACC_OFFSET, ACC_LIMIT, CENTRI = (INDEX[n] for n in ("acc_gain", "acc_offset", "acc_limit", "centripetal"))
 STUCK_BIT, STUCK_VALUE = INDEX["stuck_bit"], INDEX["stuck_value"]
-COULOMB, STATIC, STRIBECK, STRIBECK_W = (
-    INDEX[n] for n in ("coulomb", "static", "stribeck", "stribeck_speed")
-)
+COULOMB, STATIC, STRIBECK, STRIBECK_W = (INDEX[n] for n in ("coulomb", "static", "stribeck", "stribeck_speed"))
 LOAD, DRAG, DRAG_W = (INDEX[n] for n in ("load", "drag", "drag_speed"))
 RIPPLE, RIPPLE_N, RIPPLE_P = (INDEX[n] for n in ("ripple", "ripple_cycles", "ripple_phase"))
 DRIFT, DRIFT_TIME = INDEX["drift"], INDEX["drift_time"]
@@ -57,22 +53,17 @@ BRISTLE, BRISTLE_K = INDEX["bristle"], INDEX["bristle_stiffness"]
 BRISTLE_A, BRISTLE_N, BRISTLE_P = (INDEX[n] for n in ("bristle_wave", "bristle_cycles", "bristle_phase"))
 B_COULOMB = INDEX["base_coulomb"]
 B_WAVE, B_WAVE_N, B_WAVE_P = (INDEX[n] for n in ("base_wave", "base_wave_cycles", "base_wave_phase"))
-QUAD, TILT, TILT_P, CABLE, CABLE_REST = (
-    INDEX[n] for n in ("quadratic", "tilt", "tilt_angle", "cable", "cable_rest")
-)
+QUAD, TILT, TILT_P, CABLE, CABLE_REST = (INDEX[n] for n in ("quadratic", "tilt", "tilt_angle", "cable", "cable_rest"))
 SNAG, SNAG_LOW, SNAG_HIGH = (INDEX[n] for n in ("snag", "snag_low", "snag_high"))
 STOP, STOP_K, STOP_C = (INDEX[n] for n in ("stop_angle", "stop_stiffness", "stop_damping"))
-DRIVE_NL, DRIVE_K, DRIVE_C, GAP, DRIVE_K3 = (
-    INDEX[n] for n in ("drive_nl", "drive_k", "drive_c", "gap", "drive_k3")
-)
+DRIVE_NL, DRIVE_K, DRIVE_C, GAP, DRIVE_K3 = (INDEX[n] for n in ("drive_nl", "drive_k", "drive_c", "gap", "drive_k3"))
 CLAMP_K3 = INDEX["clamp_k3"]
 RATTLE_GAP, RATTLE_K, RATTLE_C = (INDEX[n] for n in ("rattle_gap", "rattle_k", "rattle_c"))
 
 # Port rows, and the rows of the trace that a run returns.
 TH_M, W_M, TH_B, W_B, TH_R, W_R, X_T, V_T, X_L, V_L = range(10)
-TRACE = (
-    14  # ten port rows, motor friction, base friction, drive torque by laws, command after the static chain
-)
+TRACE = 16  # ten port rows, motor friction, base friction, drive torque by laws, command after the static chain,
+# then the two readings without rounding, noise and stuck bits
 
 
 @njit(**_COMPILE)
@@ -207,17 +198,21 @@ def static_chain(c: float, par) -> float:
 
 
 @njit(**_COMPILE)
-def read_encoder(angle: float, extra: float, par) -> float:
-    """Counts: scale, eccentricity, zero, then half up."""
-    x = angle * par[COUNTS] / (2.0 * np.pi) + par[ECC_A] * np.sin(angle + par[ECC_P]) - par[ZERO] + extra
-    return np.floor(x + 0.5) if par[ROUNDING] != 0.0 else x
+def scale_encoder(angle: float, extra: float, par) -> float:
+    """Counts before rounding: scale, eccentricity, zero, counts lost."""
+    return angle * par[COUNTS] / (2.0 * np.pi) + par[ECC_A] * np.sin(angle + par[ECC_P]) - par[ZERO] + extra
 
 
 @njit(**_COMPILE)
-def read_accel(value: float, noise: float, par) -> float:
-    """m/s^2 after the filters and the delay to counts."""
+def scale_accel(value: float, noise: float, par) -> float:
+    """m/s^2 after the filters and the delay to counts before rounding, clipped."""
     x = par[ACC_GAIN] * value + par[ACC_OFFSET] + noise
-    x = min(max(x, -par[ACC_LIMIT]), par[ACC_LIMIT])
+    return min(max(x, -par[ACC_LIMIT]), par[ACC_LIMIT])
+
+
+@njit(**_COMPILE)
+def read_accel(x: float, par) -> float:
+    """Counts: half up, then what the converter's stuck bit makes of it."""
     if par[ROUNDING] == 0.0:
         return x
     x = np.floor(x + 0.5)
@@ -283,9 +278,13 @@ def run_kernel(
                     value_at[i] = value
             if seg == 0:
                 j = i - e_shift
-                encoder[i] = read_encoder(angle_at[j] if j >= 0 else start_angle, slip[i], par)
+                x = scale_encoder(angle_at[j] if j >= 0 else start_angle, slip[i], par)
+                encoder[i] = np.floor(x + 0.5) if par[ROUNDING] != 0.0 else x
+                trace[i, 14] = x
                 j = i - a_shift
-                accel[i] = read_accel(value_at[j] if j >= 0 else start_value, noise[i], par)
+                x = value_at[j] if j >= 0 else start_value
+                accel[i] = read_accel(scale_accel(x, noise[i], par), par)
+                trace[i, 15] = scale_accel(x, 0.0, par)
                 # The command of row i, from what row i + command_row read.
                 k0 = i + row
                 if kind == 0:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh, expm
 
 Array = NDArray[np.float64]
-ELEMENTS = 12
+ELEMENTS = 16
 MODES = 8
 INPUTS = 7
 PORTS = 5  # motor, base, root, tip, loose mass
@@ -181,9 +181,7 @@ def mechanics(
         tie[index[n], free.index(tied.get(n, n))] = 1.0
 
     lift = np.zeros((2, size))
-    lift[0, : len(names)] = [
-        1.0 if n in ("motor", "base", "root", "second_appendage") else 0.0 for n in names
-    ]
+    lift[0, : len(names)] = [1.0 if n in ("motor", "base", "root", "second_appendage") else 0.0 for n in names]
     if "tip_rattle" in outside:
         lift[0, index["tip_rattle"]] = beam["length"]
     lift[1, index["motor"]] = 1.0
@@ -228,9 +226,7 @@ def linear_system(
     """State space with the actuator's lag and the accelerometer's filters as states; a zero leaves a filter
     out."""
     nq = len(mech.mass)
-    filters = [
-        name for name, tau in (("act", actuator_lag), ("hp", highpass), ("lp", accelerometer_lag)) if tau > 0
-    ]
+    filters = [name for name, tau in (("act", actuator_lag), ("hp", highpass), ("lp", accelerometer_lag)) if tau > 0]
     place = {name: 2 * nq + i for i, name in enumerate(filters)}
     nz = 2 * nq + len(filters)
     inv = np.linalg.inv(mech.mass)

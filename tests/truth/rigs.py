@@ -58,10 +58,10 @@ TWO_MASS: RigDict = {
     "name": "two-mass",
     "sample_rate": 500.0,
     "amplifier": {"limit": 200.0},
-    "motor": {"inertia": 0.002, "damping": 0.1, "gain": 0.01},
-    "drive": {"stiffness": 2.0, "damping": 0.005},
+    "motor": {"inertia": 0.002, "damping": 0.15, "gain": 0.005},
+    "drive": {"stiffness": 20.0, "damping": 0.05},
     "base": {"inertia": 0.004},
-    "encoder": {"counts_per_revolution": 2048},
+    "encoder": {"counts_per_revolution": 1024},
     "uncertainty": {"default": 0.1},
 }
 """Motor and load joined by a shaft; no beam."""
@@ -127,9 +127,7 @@ def draw_logs(
 def shifted(rig: RigDict, *logs: dict[str, float]) -> RigDict:
     """The rig with constants multiplied by the exponentials of the sums of `logs`."""
     values = {k: get_constant(rig, k) for k in {k for part in logs for k in part}}
-    return with_constants(
-        rig, {k: v * float(np.exp(sum(p.get(k, 0.0) for p in logs))) for k, v in values.items()}
-    )
+    return with_constants(rig, {k: v * float(np.exp(sum(p.get(k, 0.0) for p in logs))) for k, v in values.items()})
 
 
 def draw_constants(

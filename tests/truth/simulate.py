@@ -115,6 +115,11 @@ class Output:
     accel_zero: float
     trace: Array
 
+    @property
+    def unrounded(self) -> tuple[Array, Array | None]:
+        """Encoder and accelerometer of this very run before rounding and noise, counts."""
+        return self.trace[:, 14], None if self.accel is None else self.trace[:, 15]
+
 
 def compensator(controller: dict[str, Any], rate: float) -> tuple[int, Array, Array, Array, Array]:
     """Kind, then numerator and denominator on the error, then on the accelerometer.
@@ -201,9 +206,7 @@ class Truth:
         def outside(name: str, key: str, default: float = 0.0) -> float:
             return get(name, "", key, default)
 
-        self.outside = {
-            n: {k: float(e[k]) for k in _OUTSIDE[n]} for (n, at), e in found.items() if n in _OUTSIDE
-        }
+        self.outside = {n: {k: float(e[k]) for k in _OUTSIDE[n]} for (n, at), e in found.items() if n in _OUTSIDE}
         gap = get("backlash", "drive", "gap")
         drive_k3 = get("hardening_spring", "drive", "cubic")
         loose = gap > 0.0
@@ -310,8 +313,10 @@ class Truth:
             return 0.0
         if torque == 0.0:
             return place * 0.5 * p["gap"]
-        top = abs(torque) / p["drive_k"]
-        e = brentq(lambda x: p["drive_k"] * x + p["drive_k3"] * x**3 - abs(torque), 0.0, top, xtol=1e-15)
+        e = abs(torque) / p["drive_k"]
+        if p["drive_k3"] > 0.0:
+            excess = lambda x: p["drive_k"] * x + p["drive_k3"] * x**3 - abs(torque)  # noqa: E731
+            e = brentq(excess, 0.0, 1.001 * e, xtol=1e-15)
         return math.copysign(e + 0.5 * p["gap"], torque)
 
     def equilibrium(self, start_angle: float, place: float = 0.0) -> tuple[float, float]:
@@ -411,9 +416,13 @@ class Truth:
             "zero": zero_angle * self.rig["encoder"]["counts_per_revolution"] / (2 * math.pi),
         }
         par = np.array([p[name] for name in kernel.PARAMETERS])
-        if accel_zero is None:
-            accel_zero = float(np.mean([kernel.read_accel(0.0, x, par) for x in before]))
         kind, num, den, acc_num, acc_den = compensator(controller, rate)
+        if accel_zero is None:
+            accel_zero = (
+                float(np.mean([kernel.read_accel(kernel.scale_accel(0.0, x, par), par) for x in before]))
+                if kind == 2
+                else 0.0
+            )
         if kind == 2 and not self.has_accelerometer:
             raise ValueError("lead_accel: this rig has no accelerometer")
         s = self.system
