@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 import station
-from station.cli import devices, files, models, run
+from station.cli import demo, devices, diagnosis, files, models, run, views
 
 
 def build() -> typer.Typer:
@@ -17,7 +17,7 @@ def build() -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"]},
         epilog="Start here: station demo. Every command has its own --help with an example.")
     app.callback()(_options)
-    for group in (devices, run, files, models):
+    for group in (demo, devices, run, files, views, models, diagnosis):
         app.add_typer(group.app)
     return app
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from station.cli.options import Json, Out, Overwrite, RunFile, RunFiles, command, load_runs, need_folder
+from station.cli.options import Json, Out, Overwrite, RunFile, RunFiles, command, load_runs, need_folder, rig_of
 from station.cli.terminal import console, number, one_line, row, say, table, write_json
 
 if TYPE_CHECKING:
@@ -107,16 +107,10 @@ def replay(
     """Work out a run's commands again by its own compensator, and say where and why they are not the logged ones."""
     from station.rig import load_rig
     from station.runs import compare_replay
-    from station.runs.replay import amplifier_limit
 
     results = []
-    for item in load_runs(run):
-        if rig is not None:
-            limit = load_rig(rig).amplifier.limit
-        elif isinstance(item.metadata.rig, str) and item.metadata.rig:
-            limit = load_rig(item.metadata.rig).amplifier.limit
-        else:
-            limit = amplifier_limit(item)
+    for path, item in zip(run, load_runs(run), strict=True):
+        limit = (load_rig(rig) if rig is not None else rig_of(item, path)).amplifier.limit
         results.append((item, compare_replay(item, limit, shaped=shaped, tolerance=tolerance)))
     if json:
         write_json(json, {"runs": [

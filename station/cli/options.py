@@ -11,6 +11,7 @@ import typer
 from station.errors import UsageError, WorkError
 
 if TYPE_CHECKING:
+    from station.rig import Rig
     from station.runs.run import Run
 
 RigName = Annotated[str, typer.Option("--rig", metavar="RIG", help="Rig file (TOML), or a built-in name: sflr.")]
@@ -45,6 +46,22 @@ def load_runs(paths: list[Path]) -> list[Run]:
         seen[run.name] = path
         runs.append(run)
     return runs
+
+
+def rig_of(run: Run, path: Path) -> Rig:
+    """The rig that a run holds, or names among the built-in ones; a path in a run is never followed."""
+    import tomli_w
+
+    from station.rig import Rig, builtin_rigs
+
+    known = run.metadata.rig
+    try:
+        text = tomli_w.dumps(known) if isinstance(known, dict) else builtin_rigs()[known]
+        return Rig.from_toml(text, source=f"{path}: metadata rig")
+    except (KeyError, TypeError, UsageError) as error:
+        if isinstance(error, UsageError):
+            raise WorkError(str(error)) from None
+        raise UsageError(f"{path}: the run does not hold its rig; give --rig") from None
 
 
 def need_folder(path: Path | str | None) -> None:

@@ -15,6 +15,7 @@ from station.cli.terminal import note, number, progress, say
 from station.errors import StationError, UsageError
 
 if TYPE_CHECKING:
+    from station.device.port import Port as SerialPort
     from station.loop.run_test import LoopResult
     from station.rig import Rig
 
@@ -57,31 +58,20 @@ Pole = Annotated[float | None, typer.Option("--pole", help="The lead's pole, rad
 Log = Annotated[Path, typer.Option("--out", metavar="FILE", help="Where the run is logged (.mcap).")]
 
 
-def perform(port: str, rig: Rig, controller: dict[str, Any], test: dict[str, Any], out: Path,
-            overwrite: bool = False) -> LoopResult:
-    """Run one test on the device at a port; log it to ``out``."""
+def perform(line: SerialPort, rig: Rig, controller: dict[str, Any], test: dict[str, Any], out: Path,
+            overwrite: bool = False, **settings: Any) -> LoopResult:
+    """Run one test on the device at an open port and log it to ``out``; ``settings`` go to ``run_test``."""
     from station.control.compensators import Compensator
     from station.control.references import reference_from_test
-    from station.device.port import open_port
     from station.loop.run_test import run_test
     from station.runs import McapLogWriter
 
-    if out.suffix.lower() != ".mcap":
-        raise UsageError(f"--out {out}: a run is logged as .mcap; `station export` makes other forms of it")
-    need_folder(out)
-    if controller.get("kind") == "lead_accel" and rig.accelerometer is None:
-        raise UsageError(f"--controller: rig {rig.name} has no accelerometer")
     compensator = Compensator.from_spec(controller, rig.sample_rate, rig.amplifier.limit)
     reference = reference_from_test(test, rig.sample_rate)
-    with open_port(port) as line, progress(f"{test['kind']} on {port}") as update:
-        try:
-            return run_test(line, rig, compensator, reference, metadata={"test": test},
-                            log_sink=partial(McapLogWriter, out, overwrite=overwrite),
-                            progress=lambda row, rows: update(row / rows))
-        except (KeyboardInterrupt, StationError):
-            if out.exists():
-                note(f"motor commanded to zero; the rows so far are in {out}")
-            raise
+    with progress(f"{test['kind']} on {line.url}") as update:
+        return run_test(line, rig, compensator, reference, log_sink=partial(McapLogWriter, out, overwrite=overwrite),
+                        progress=lambda row, rows: update(row / rows),
+                        **{"metadata": {"test": test}, **settings})
 
 
 def summary(result: LoopResult, out: Path) -> str:
@@ -102,13 +92,27 @@ def _command_for(kind: str) -> Callable[..., None]:
     def run(port: Port, rig: RigName, out: Log, controller: Controller = None, gain: Gain = None, zero: Zero = None,
             pole: Pole = None, overwrite: Overwrite = False, **test: Any) -> None:
         from station.cli.controllers import controller_spec
+        from station.device.port import open_port
         from station.rig import load_rig
 
+        if out.suffix.lower() != ".mcap":
+            raise UsageError(f"--out {out}: a run is logged as .mcap; `station export` makes other forms of it")
+        need_folder(out)
         model = load_rig(rig)
         spec = controller_spec(controller or ("open" if kind in OPEN else "p"), model.sample_rate, gain=gain,
                                zero=zero, pole=pole)
         asked = {"kind": kind, **{key: value for key, value in test.items() if value is not None}}
-        say(summary(perform(port, model, spec, asked, out, overwrite), out))
+        if spec.get("kind") == "lead_accel" and model.accelerometer is None:
+            raise UsageError(f"--controller: rig {model.name} has no accelerometer")
+        before = out.exists()
+        with open_port(port) as line:
+            try:
+                result = perform(line, model, spec, asked, out, overwrite)
+            except (KeyboardInterrupt, StationError):
+                if out.exists() and (overwrite or not before):
+                    note(f"motor commanded to zero; the rows so far are in {out}")
+                raise
+        say(summary(result, out))
 
     hints = {name: hint for name, hint in inspect.get_annotations(run, eval_str=True).items() if name != "test"}
     common = [parameter.replace(annotation=hints[parameter.name])

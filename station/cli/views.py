@@ -1,0 +1,44 @@
+"""Seeing runs: the Rerun viewer."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from station.cli.options import RunFiles, command, load_runs, need_folder, rig_of
+from station.cli.terminal import say
+from station.errors import UsageError
+
+app = typer.Typer()
+
+
+@command(app, "view", "Runs", "station view step.mcap sweep.mcap --rig sflr --save runs.rrd")
+def view(
+    runs: RunFiles,
+    rig: Annotated[str | None, typer.Option("--rig", metavar="RIG", help=(
+        "Rig whose beam is drawn; by default the one that the first run holds."))] = None,
+    save: Annotated[Path | None, typer.Option("--save", metavar="FILE", help=(
+        "Write a Rerun recording (.rrd) instead of opening the viewer."))] = None,
+    web: Annotated[bool, typer.Option("--web", help="Open in the browser, served on 127.0.0.1 alone.")] = False,
+) -> None:
+    """Draw runs in Rerun: reference, command, angle, acceleration, and the arm moving."""
+    from station.rig import load_rig
+    from station.view.recording import write_recording
+    from station.view.viewer import view as open_viewer
+
+    if save is not None and save.suffix.lower() != ".rrd":
+        raise UsageError(f"--save {save}: a recording's name ends in .rrd")
+    need_folder(save)
+    loaded = load_runs(runs)
+    model = load_rig(rig) if rig is not None else rig_of(loaded[0], runs[0])
+    if save is not None:
+        write_recording(save, loaded, model)
+        say(f"{save}: {len(loaded)} runs")
+        return
+    with tempfile.TemporaryDirectory(prefix="station-") as folder:
+        recording = Path(folder) / "runs.rrd"
+        write_recording(recording, loaded, model)
+        open_viewer([recording], web=web)
