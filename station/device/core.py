@@ -75,7 +75,7 @@ class Core:
             "build": source_hash(), "command_limit": board.command_limit, "flags": board.flags,
             "name": board.name.encode("ascii", "replace")[:16]})
         self._lib.station_init(self._core, described, entropy & 0xFFFFFFFF)
-        self._size = self._lib.STATION_TRANSMIT_BYTES
+        self._size, self._slots = self._lib.STATION_TRANSMIT_BYTES, self._lib.STATION_SLOTS
         self._bytes = self._ffi.new("uint8_t[]", self._size)
         self._buffer = self._ffi.buffer(self._bytes)
 
@@ -110,6 +110,12 @@ class Core:
         return self._core.state == State.RUNNING
 
     @property
+    def beginning(self) -> bool:
+        """Whether the coming tick is a session's first."""
+        core = self._core
+        return core.first_ticks > 0 and core.next_index == 0 and core.state == State.RUNNING
+
+    @property
     def drive(self) -> int:
         """The drive applied now, counts."""
         return self._core.drive
@@ -118,4 +124,4 @@ class Core:
     def answered(self) -> bool:
         """Whether the coming tick has its command, or cannot have one yet."""
         core = self._core
-        return bool(core.first_ticks or core.slot_full[core.next_index % 4])
+        return bool(core.first_ticks or core.slot_full[core.next_index % self._slots])

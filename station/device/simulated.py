@@ -85,7 +85,7 @@ class SimulatedDevice:
         self.core = Core(board, random.getrandbits(32) if options.seed is None else boot ^ 0x5DEECE66)
         self.line = FaultyLine(options.faults, boot)
         self._source = source
-        self._was_running = False
+        self._running = False
         self._session_ticks = 0
         self._faulty = options.faults.on_frames
 
@@ -125,13 +125,12 @@ class SimulatedDevice:
 
     def tick(self, clock: int, woke_late: bool = False) -> None:
         """One tick at a reading of the board's clock (microseconds): sensors, core.  ``advance`` must follow."""
-        running = self.core.running
-        if running:
-            if not self._was_running:
-                self._source.begin()
-                self._session_ticks = 0
+        if self.core.beginning:
+            self._source.begin()
+            self._session_ticks = 0
+        self._running = self.core.running
+        if self._running:
             self._session_ticks += 1
-        self._was_running = running
         encoder, accel = self._source.sample()
         self.core.tick(clock, encoder, accel, int(InputFlags.WOKE_LATE) if woke_late else 0)
         if self._faulty:
@@ -139,4 +138,4 @@ class SimulatedDevice:
 
     def advance(self) -> None:
         """Let the drive act on the rig for one period."""
-        self._source.advance(self.core.drive, self._was_running)
+        self._source.advance(self.core.drive, self._running)
