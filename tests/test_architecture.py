@@ -61,3 +61,12 @@ def test_every_dependency_is_imported_and_pinned():
 def test_the_lock_holds_names_and_versions_alone(line):
     name, version = line.split("==")
     assert name and version[0].isdigit()
+
+
+def test_every_file_that_is_not_python_travels_with_the_package():
+    """What a wheel leaves out is missing only on other people's machines."""
+    data = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["package-data"]
+    for package, folder in (("station", ROOT / "station"), ("station.firmware", ROOT / "firmware")):
+        packed = {path for pattern in data[package] for path in folder.glob(pattern)}
+        there = {path for path in folder.rglob("*") if path.is_file() and path.suffix not in (".py", ".pyc", ".nbi", ".nbc")}
+        assert there - packed == set(), package
