@@ -1,0 +1,87 @@
+"""The Bode figure: measured response and coherence beside the finite element and the continuous beam."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from station.model.frequency import (
+    FrequencyResponse,
+    finite_element_response,
+    measured_response,
+    transfer_matrix_response,
+)
+from station.rig import Rig
+from station.runs.run import Run
+
+TITLES = {"encoder": "command → encoder", "accel": "command → accelerometer"}
+LINES = {"finite elements": {"linestyle": "-", "linewidth": 1.6},
+         "transfer matrices": {"linestyle": "--", "linewidth": 1.6}}
+
+
+def bode_figure(rig: Rig, run: Run | None = None, *, lowest: float = 0.1, highest: float | None = None,
+                points: int = 600) -> Figure:
+    """Magnitude (dB), phase (deg) and, with a run, coherence against frequency (Hz), one column for each
+    sensor.
+
+    Conventions are python-control's: counts per count in dB, phase unwrapped from the lowest frequency on.
+    The measured phase is drawn on the branch next to the model's, since noise makes unwrapping it a matter
+    of luck.  With a run the frequencies are those that its command excites, unless ``lowest`` and
+    ``highest`` (Hz) say less.
+    """
+    measured = None if run is None else measured_response(run)
+    top = 0.499 * rig.sample_rate if highest is None else min(highest, 0.499 * rig.sample_rate)
+    if measured is not None and highest is None:
+        top = min(top, excited(run))
+    frequency = np.geomspace(lowest, top, points)
+    models = {"finite elements": finite_element_response(rig, frequency),
+              "transfer matrices": transfer_matrix_response(rig, frequency)}
+    sensors = ["encoder"] if models["finite elements"].accel is None else ["encoder", "accel"]
+    rows = 2 if measured is None else 3
+    figure = Figure(figsize=(5.2 * len(sensors), 2.4 * rows), layout="constrained")
+    axes = figure.subplots(rows, len(sensors), sharex=True, squeeze=False)
+    for column, sensor in enumerate(sensors):
+        _draw(axes[:, column], sensor, models, measured, top)
+        axes[0, column].set_title(TITLES[sensor])
+    for row, label in enumerate(("magnitude, dB", "phase, deg", "coherence")[:rows]):
+        axes[row, 0].set_ylabel(label)
+    axes[0, 0].legend()
+    return figure
+
+
+def excited(run: Run, share: float = 1e-4) -> float:
+    """Highest frequency (Hz) at which the command's spectrum still reaches ``share`` of its largest value."""
+    spectrum = np.abs(np.fft.rfft(run.command - run.command.mean())) ** 2
+    width = max(1, len(spectrum) // 200)
+    smooth = np.convolve(spectrum, np.ones(width) / width, mode="same")
+    return float(np.fft.rfftfreq(len(run.t), 1.0 / run.sample_rate)[np.flatnonzero(smooth > share * smooth.max())[-1]])
+
+
+def _draw(axes: np.ndarray, sensor: str, models: dict[str, FrequencyResponse],
+          measured: FrequencyResponse | None, top: float) -> None:
+    model = models["finite elements"]
+    phase = np.unwrap(np.angle(getattr(model, sensor)))
+    if measured is not None and getattr(measured, sensor) is not None:
+        _points(axes, measured.frequency, getattr(measured, sensor), getattr(measured, f"{sensor}_coherence"),
+                np.interp(measured.frequency, model.frequency, phase), model.frequency[0], top)
+    for name, response in models.items():
+        value = getattr(response, sensor)
+        axes[0].semilogx(response.frequency, 20.0 * np.log10(np.abs(value)), label=name, **LINES[name])
+        branch = phase + np.angle(value * np.exp(-1j * phase))
+        axes[1].semilogx(response.frequency, np.rad2deg(branch), **LINES[name])
+    for axis in axes:
+        axis.grid(which="both", alpha=0.25)
+    axes[-1].set_xlabel("frequency, Hz")
+
+
+def _points(axes: np.ndarray, frequency: np.ndarray, value: np.ndarray, coherence: np.ndarray, near: np.ndarray,
+            bottom: float, top: float) -> None:
+    shown = (frequency >= bottom) & (frequency <= top)
+    grey = 0.85 - 0.65 * coherence[shown]
+    style = {"s": 7.0, "color": np.stack([grey, grey, grey], axis=1)}
+    phase = near + np.angle(value * np.exp(-1j * near))
+    magnitude_axis, phase_axis, coherence_axis = axes
+    magnitude_axis.scatter(frequency[shown], 20.0 * np.log10(np.abs(value[shown])), label="measured", **style)
+    phase_axis.scatter(frequency[shown], np.rad2deg(phase[shown]), **style)
+    coherence_axis.semilogx(frequency[shown], coherence[shown], color="0.35", linewidth=1.0)
+    coherence_axis.set_ylim(0.0, 1.05)

@@ -1,0 +1,238 @@
+"""Recordings for Rerun: measured, nominal and extended beside each other on one timeline, the arm moving in space."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from station.diagnose.result import RunComparison
+from station.errors import StationError, UsageError, WorkError
+from station.model.simulate import Simulation, simulate
+from station.rig import Rig, load_rig
+from station.runs.run import Run
+from station.runs.store import load_run
+from station.view import arm
+from station.view.events import find_events
+from station.view.viewer import open_viewer
+
+if TYPE_CHECKING:
+    import rerun as rr
+    import rerun.blueprint as rrb
+
+APPLICATION = "station"
+TIMELINE = "device_time"
+EXAGGERATION = 4.0
+"""The beam's deflection is drawn so many times larger than it is."""
+FRAMES = 60.0
+"""Pictures of the arm per second of device time; the curves keep every row."""
+
+COLOURS = {"reference": 0x8A919AFF, "measured": 0xB3B9C2FF, "nominal": 0xE8722EFF, "re-fitted": 0x9A8FBFFF,
+           "extended": 0x3D8BFDFF, "command": 0x5AA469FF}
+WIDTHS = {"measured": 3.0}
+HEIGHTS = {"measured": 0.0, "nominal": 0.02, "re-fitted": 0.04, "extended": 0.04}
+"""Where each arm turns, m above the measured one, so that none hides another."""
+LABELS = {"measured": 1.0, "nominal": 0.66, "re-fitted": 0.33, "extended": 0.33}
+"""Where along the arm its name stands, of its length."""
+
+
+Entry = RunComparison | tuple[Run, Mapping[str, Simulation]]
+"""A run of a recording: a comparison, or a run and its simulations by name (nominal, re-fitted, extended)."""
+
+
+@dataclass(frozen=True)
+class _Source:
+    """One account of a run: what was measured, or a simulation of it."""
+
+    name: str
+    encoder: np.ndarray
+    accel: np.ndarray | None
+    shape: np.ndarray | None = None
+
+
+def write_recording(path: str | os.PathLike[str], runs: Sequence[Entry], rig: Rig, *,
+                    exaggeration: float = EXAGGERATION, status_names: Mapping[int, str] | None = None) -> None:
+    """Write a recording that opens with one tab for each run.
+
+    A comparison brings measured, nominal and extended (re-fitted where nothing was added).  Time is the device's,
+    from the run's first sample.  ``status_names`` maps status bits to words.  An existing file is replaced.
+    WorkError where the file cannot be written.
+    """
+    import rerun as rr
+
+    target = Path(path)
+    recording = rr.RecordingStream(APPLICATION, recording_id=target.stem)
+    try:
+        if not target.parent.is_dir():
+            raise WorkError(f"{target}: cannot be written: no such folder")
+        recording.save(target, _blueprint(runs, rig, exaggeration))
+        recording.send_recording_name(target.stem)
+        for number, entry in enumerate(runs, start=1):
+            _log_run(recording, f"run_{number}", entry, rig, exaggeration, status_names)
+        recording.flush()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise WorkError(f"{target}: cannot be written: {error}") from None
+    finally:
+        recording.disconnect()
+
+
+def view(paths: Sequence[str | os.PathLike[str]], web: bool = False, save: str | os.PathLike[str] | None = None,
+         rig: Rig | None = None) -> None:
+    """Show runs and recordings in Rerun's viewer, and return when it is closed.
+
+    Recordings (.rrd) open as they are; runs are set beside the nominal simulation of ``rig``, by default of the rig
+    that each names.  ``web``: in the browser, served on 127.0.0.1 alone.  ``save``: write the runs' recording there
+    instead of opening it.
+    """
+    files = [Path(path) for path in paths]
+    ready = [file for file in files if file.suffix in (".rrd", ".rbl")]
+    runs = [load_run(file) for file in files if file not in ready]
+    if save is not None:
+        if ready or not runs:
+            raise UsageError("--save makes a recording of runs"
+                             + (f"; {ready[0]} is one already" if ready else "; no run is given"))
+        _record(runs, rig, Path(save))
+        return
+    if not files:
+        raise UsageError("view: at least one run or recording is wanted")
+    with TemporaryDirectory(prefix="station-view-") as folder:
+        if runs:
+            ready.append(Path(folder) / f"{runs[0].name}.rrd")
+            _record(runs, rig, ready[-1])
+        open_viewer(ready, web)
+
+
+def _record(runs: Sequence[Run], rig: Rig | None, path: Path) -> None:
+    rigs = [rig or own_rig(run) for run in runs]
+    entries = [(run, {"nominal": simulate(its, run, states=True)}) for run, its in zip(runs, rigs, strict=True)]
+    write_recording(path, entries, rigs[0])
+
+
+def own_rig(run: Run) -> Rig:
+    """The rig that a run's metadata names or holds; UsageError where there is none that can be read."""
+    named = run.metadata.rig
+    try:
+        if isinstance(named, dict):
+            return Rig.model_validate(named)
+        if named:
+            return load_rig(named)
+    except (StationError, ValueError):
+        pass
+    raise UsageError(f"{run.name}: names no rig that can be read; say which with --rig")
+
+
+def _sources(entry: Entry) -> tuple[Run, list[_Source]]:
+    simulated: Mapping[str, Simulation]
+    if isinstance(entry, RunComparison):
+        run = entry.run
+        best = {"extended": entry.after} if entry.after is not None else {"re-fitted": entry.refit}
+        simulated = {"nominal": entry.before, **best}
+    else:
+        run, simulated = entry
+    return run, [_Source("measured", run.encoder, run.accel),
+                 *(_Source(name, s.encoder, s.accel, s.shape) for name, s in simulated.items())]
+
+
+def _log_run(recording: rr.RecordingStream, root: str, entry: Entry, rig: Rig, exaggeration: float,
+             status_names: Mapping[int, str] | None) -> None:
+    import rerun as rr
+
+    run, sources = _sources(entry)
+    clock = run.t if run.device_time is None else run.device_time
+    seconds = np.asarray(clock, float) - float(clock[0])
+
+    def curve(name: str, colour: str, values: np.ndarray) -> None:
+        path = f"{root}/{name}"
+        recording.log(path, rr.SeriesLines(names=colour, colors=COLOURS[colour], widths=WIDTHS.get(colour, 1.5)),
+                      static=True)
+        recording.send_columns(path, [rr.TimeColumn(TIMELINE, duration=seconds)],
+                               rr.Scalars.columns(scalars=np.asarray(values, float)))
+
+    curve("angle/reference", "reference", run.reference)
+    curve("command", "command", run.command)
+    measured = sources[0]
+    for source in sources:
+        curve(f"angle/{source.name}", source.name, source.encoder)
+        if source is not measured:
+            curve(f"residual/angle/{source.name}", source.name, measured.encoder - source.encoder)
+        if source.accel is None or measured.accel is None:
+            continue
+        curve(f"acceleration/{source.name}", source.name, source.accel)
+        if source is not measured:
+            curve(f"residual/acceleration/{source.name}", source.name, measured.accel - source.accel)
+    for source in sources:
+        _log_arm(recording, f"{root}/arm/{source.name}", source, seconds, rig, run.sample_rate, exaggeration)
+    for event in find_events(run, rig.amplifier.limit, status_names):
+        recording.set_time(TIMELINE, duration=float(seconds[event.row]))
+        recording.log(f"{root}/events", rr.TextLog(event.text, level=event.level))
+
+
+def _log_arm(recording: rr.RecordingStream, path: str, source: _Source, seconds: np.ndarray, rig: Rig, rate: float,
+             exaggeration: float) -> None:
+    import rerun as rr
+
+    length = rig.beam.length if rig.beam is not None else 0.3
+    angle = np.asarray(source.encoder, float) * rig.angle_per_count
+    if source.shape is not None:
+        along = np.linspace(0.0, length, source.shape.shape[1])
+        deflection = source.shape - np.outer(angle, along)
+    else:
+        deflection = arm.estimated_shape(rig, angle, source.accel, rate)
+    points = arm.drawn_points(angle, deflection, length, exaggeration, HEIGHTS[source.name])
+    rows = np.arange(0, len(seconds), max(round(rate / FRAMES), 1))
+    time = [rr.TimeColumn(TIMELINE, duration=seconds[rows])]
+    colour = COLOURS[source.name]
+    recording.log(f"{path}/beam", rr.LineStrips3D.from_fields(colors=colour, radii=0.004), static=True)
+    recording.send_columns(f"{path}/beam", time, rr.LineStrips3D.columns(
+        strips=points[rows].astype(np.float32)))
+    recording.log(f"{path}/tip", rr.Points3D.from_fields(colors=colour, radii=0.011), static=True)
+    recording.send_columns(f"{path}/tip", time, rr.Points3D.columns(positions=points[rows, -1].astype(np.float32)))
+    marked = points[rows, round(LABELS[source.name] * (points.shape[1] - 1))]
+    recording.log(f"{path}/name", rr.Points3D.from_fields(colors=colour, radii=0.004, labels=source.name,
+                                                          show_labels=True), static=True)
+    recording.send_columns(f"{path}/name", time, rr.Points3D.columns(positions=marked.astype(np.float32)))
+    hub = [[0.0, 0.0, HEIGHTS[source.name]]]
+    recording.log(f"{path}/hub", rr.Points3D(hub, colors=colour, radii=0.02), static=True)
+
+
+def _blueprint(runs: Sequence[Entry], rig: Rig, exaggeration: float) -> rrb.Blueprint:
+    import rerun.blueprint as rrb
+
+    tabs = [_tab(f"run_{number}", entry, rig, exaggeration) for number, entry in enumerate(runs, start=1)]
+    layout = tabs[0] if len(tabs) == 1 else rrb.Tabs(*tabs, active_tab=0)
+    return rrb.Blueprint(layout, rrb.BlueprintPanel(state="collapsed"), rrb.SelectionPanel(state="collapsed"),
+                         rrb.TimePanel(state="collapsed", timeline=TIMELINE), auto_views=False)
+
+
+def _tab(root: str, entry: Entry, rig: Rig, exaggeration: float) -> rrb.Horizontal:
+    import rerun.blueprint as rrb
+
+    run, sources = _sources(entry)
+    length = rig.beam.length if rig.beam is not None else 0.3
+    facing = float(np.median(run.encoder)) * rig.angle_per_count
+    middle = 0.5 * length * np.array([np.cos(facing), np.sin(facing), 0.0])
+    space = rrb.Spatial3DView(
+        origin=f"{root}/arm", name=f"Arm from above, deflection × {exaggeration:g}",
+        eye_controls=rrb.EyeControls3D(position=middle + np.array([0.0, -0.35, 2.2]) * length,
+                                       look_target=middle, eye_up=[0.0, 1.0, 0.0]))
+    left = rrb.Vertical(space, rrb.TextLogView(origin=f"{root}/events", name="Events"), row_shares=[4, 1])
+
+    def plot(name: str, *paths: str) -> rrb.TimeSeriesView:
+        return rrb.TimeSeriesView(origin=root, contents=[f"$origin/{path}/**" for path in paths], name=name,
+                                  axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+                                  plot_legend=rrb.PlotLegend("RightTop"))
+
+    plots = [plot("Angle (encoder counts)", "angle")]
+    if len(sources) > 1:
+        plots.append(plot("Angle: measured − simulated (counts)", "residual/angle"))
+    if run.accel is not None:
+        plots.append(plot("Acceleration (counts)", "acceleration"))
+        if len(sources) > 1:
+            plots.append(plot("Acceleration: measured − simulated (counts)", "residual/acceleration"))
+    plots.append(plot("Command (counts)", "command"))
+    return rrb.Horizontal(left, rrb.Vertical(*plots), column_shares=[2, 3], name=run.name)
