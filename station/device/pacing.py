@@ -93,7 +93,9 @@ class LockstepLine:
 
 
 class Link(Protocol):
-    """The device's end of a line."""
+    """The device's end of a line; ``connected``: whether a host is known, or may be, at the other end."""
+
+    connected: bool
 
     def receive(self, timeout: float) -> bytes:
         """Bytes from the host, at once when there are any; b"" when none came within timeout seconds."""
@@ -123,7 +125,7 @@ def run_device(device: SimulatedDevice, link: Link, stop: threading.Event) -> No
     while not stop.is_set():
         in_step = lockstep and device.core.running
         if in_step:
-            deadline = clock() + _ANSWER_WAIT
+            deadline = clock() + (_ANSWER_WAIT if link.connected else device.period)
         while not (in_step and device.core.answered):
             left = deadline - clock()
             data = link.receive(max(left, 0.0))
@@ -131,6 +133,8 @@ def run_device(device: SimulatedDevice, link: Link, stop: threading.Event) -> No
                 take(data)
                 if lockstep and device.core.running != in_step:
                     break
+            elif in_step and not link.connected:
+                deadline = min(deadline, clock() + device.period)
             if left <= 0.0:
                 break
         if lockstep and device.core.running != in_step:
@@ -148,6 +152,8 @@ def run_device(device: SimulatedDevice, link: Link, stop: threading.Event) -> No
 
 class PacedLine:
     """A device in the host's own process, in real time: a thread makes it tick."""
+
+    connected = True
 
     def __init__(self, device: SimulatedDevice) -> None:
         self.device = device

@@ -122,6 +122,11 @@ class _Exchange:
         """The TCP port."""
         return self._listener.getsockname()[1] if self._listener else None
 
+    @property
+    def connected(self) -> bool:
+        """Whether the active host has not hung up (a pseudo-terminal never tells)."""
+        return self._active is not None
+
     def receive(self, timeout: float) -> bytes:
         """Bytes from the active host; b"" where none came within timeout seconds."""
         watched = [*self._ends, self._listener] if self._listener else self._ends

@@ -18,6 +18,7 @@ SILENCE_SECONDS = 0.5
 """A device silent for so long is lost."""
 _SAMPLE, _COMMAND, _FAULT = MESSAGES["sample"], MESSAGES["command"], MESSAGES["fault"]
 _MASK16 = 0xFFFF
+_NAN = float("nan")
 _UNANSWERED = int(Status.HELD | Status.ZEROED)
 
 
@@ -27,10 +28,10 @@ class Counts:
     ``duplicated`` samples that came again; ``corrupt`` frames that did not pass; ``unanswered``: recorded ticks
     on which the device had no command in time.
 
-    From the device's own counters (-1 where it could not be asked): ``device_samples`` sent, ``late`` commands,
-    ``held`` and ``zeroed`` ticks, ``device_corrupt`` frames, ``woke_late`` ticks, and commands that were
-    ``repeated``, ``limited``, ``refused`` (early or out of the window).  ``after_stop`` samples were sent beyond
-    the last one wanted.  Always device_samples = samples + lost + after_stop.
+    From the device's own counters (-1 where it could not be asked): ``device_samples`` sent, ``commands`` taken,
+    ``late`` commands, ``held`` and ``zeroed`` ticks, ``device_corrupt`` frames, ``woke_late`` ticks, and commands
+    that were ``repeated``, ``limited``, ``refused`` (early or out of the window).  ``after_stop`` samples were sent
+    beyond the last one wanted.  Always device_samples = samples + lost + after_stop.
     """
 
     samples: int = 0
@@ -40,6 +41,7 @@ class Counts:
     unanswered: int = 0
     device_samples: int = -1
     after_stop: int = -1
+    commands: int = -1
     late: int = -1
     held: int = -1
     zeroed: int = -1
@@ -56,8 +58,9 @@ class Counts:
 
 Respond = Callable[[int, int, int], int]
 """respond(row, encoder, accel): the command (whole counts) for tick row + answer_ticks."""
-Record = Callable[[int, int, int, int, int, int, int, float, float], None]
-"""record(row, clock, encoder, accel, command, status, sent, received, written): one sample and its answer."""
+Record = Callable[[int, int, int, int, int, int, float, float, float], None]
+"""record(row, clock, encoder, accel, command, status, sent, received, written): one sample and its answer; sent and
+written are NaN where something broke before the answer was out."""
 
 
 class Session:
@@ -71,6 +74,7 @@ class Session:
         self._respond, self._record = respond, record
         self._answer_ticks = answer_ticks
         self._progress, self._progress_rows = progress, max(progress_rows, 1)
+        self._row = -1  # the last row that a sample came for
         self._unanswered: int | None = None  # index of the command that the last sample still waits for
 
     def run(self) -> Counts:
@@ -90,6 +94,7 @@ class Session:
                 confirmed = client.halt(self._unanswered)
             finally:
                 self.counts.corrupt = client.decoder.corrupt - corrupt
+                self._count_left()
                 if collecting:
                     gc.enable()
             if confirmed:
@@ -125,6 +130,7 @@ class Session:
                 if row >= rows:
                     return
                 encoder, accel = readings
+                self._row = row
                 self._unanswered = row + answer_ticks
                 if status & _UNANSWERED:
                     counts.unanswered += 1
@@ -132,8 +138,12 @@ class Session:
                 if row == rows - 1:  # its answer is the command 0, sent with the stop
                     record(row, clock, encoder, accel, command, status, 0, received, now())
                     return
-                answer = respond(row, encoder, accel)
-                write(encode(pack(command_code, self._unanswered & _MASK16, answer), session))
+                try:
+                    answer = respond(row, encoder, accel)
+                    write(encode(pack(command_code, self._unanswered & _MASK16, answer), session))
+                except BaseException:
+                    record(row, clock, encoder, accel, command, status, _NAN, received, _NAN)
+                    raise
                 written = now()
                 self._unanswered = None
                 record(row, clock, encoder, accel, command, status, answer, received, written)
@@ -156,6 +166,13 @@ class Session:
             raise WorkError(f"{self.client.port.url}: the device went {state_words(State.FAULT, message.fault)} at "
                             f"row {row}, its motor is at zero; see why the host was late, then start again")
 
+    def _count_left(self) -> None:
+        """Samples that came again and were still unread when the session ended."""
+        for body in self.client.inbox:
+            if body[0] == _SAMPLE.code and (self._row - _SAMPLE.unpack(body).index) & _MASK16 < 0x8000:
+                self.counts.duplicated += 1
+        self.client.inbox.clear()
+
     def _ask_counters(self) -> None:
         counts = self.counts
         try:
@@ -164,6 +181,7 @@ class Session:
             return
         counts.device_samples = found.samples
         counts.after_stop = found.samples - counts.samples - counts.lost
+        counts.commands = found.commands
         counts.late, counts.held, counts.zeroed = found.late, found.held, found.zeroed
         counts.repeated, counts.limited = found.repeated, found.limited
         counts.refused = found.early + found.out_of_window

@@ -55,7 +55,7 @@ def loopback(port: Port, rate: float | None = None, seconds: float = 2.0) -> Loo
     rows: list[tuple[int, float, int, float, float]] = []
     clock = DeviceClock(identity.clock_hz)
 
-    def record(row: int, ticks: int, encoder: int, accel: int, command: int, status: int, sent: int,
+    def record(row: int, ticks: int, encoder: int, accel: int, command: int, status: int, sent: float,
                received: float, written: float) -> None:
         rows.append((row, clock.seconds(ticks), status, received, written))
 

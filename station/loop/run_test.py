@@ -161,7 +161,7 @@ def _drive(client: Client, rig: Rig, compensator: Compensator, reference: np.nda
         """The command for tick row + answer_ticks; beyond the last row 0."""
         return math.floor(step(wanted[row + answer_ticks], encoder, accel) + 0.5) if row < last else 0
 
-    def record(row: int, clock: int, encoder: int, accel: int, command: int, status: int, sent: int,
+    def record(row: int, clock: int, encoder: int, accel: int, command: int, status: int, sent: float,
                received: float, written: float) -> None:
         latency = latencies[row] = written - received
         append((row, row / rate, wanted[row], command, encoder, accel, seconds(clock), received, status, sent,

@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from station.device.core import library
-from station.device.framing import CRC_START, encode
+from station.device.framing import encode
 from station.device.protocol import MESSAGES, PROTOCOL, State
 
 EXAMPLES = {

@@ -1,0 +1,166 @@
+"""A test through the real loop: rows, conventions, metadata."""
+
+import numpy as np
+import pytest
+
+from station.control.references import reference_from_test
+from station.device.port import open_port
+from station.device.protocol import Status
+from station.errors import UsageError, WorkError
+from station.model.simulate import simulate
+from station.runs.columns import LOG_COLUMNS
+from station.runs.replay import compare_replay
+from station.runs.run import RunMetadata
+
+LEAD_ACCEL = {"kind": "lead_accel", "gain": 20.0, "zero": 31.4159, "pole": 125.6637,
+              "accel_numerator": [0.00045097, 0.00045152, -0.00044989, -0.00045043],
+              "accel_denominator": [1.0, -2.9289362, 2.85853684, -0.92960052]}
+
+
+@pytest.mark.parametrize("spec", [{"kind": "open"}, {"kind": "p", "gain": 2.0}, None, LEAD_ACCEL])
+def test_replaying_the_log_gives_its_commands_back_exactly(rows, spec):
+    result = rows.test_at("sim://sflr?seed=1&noise=1.5", spec, reference=rows.reference(amplitude=80.0))
+    replay = compare_replay(rows.run, tolerance=0.0)
+    assert replay.same, replay.note
+    assert result.counts.unanswered == result.counts.lost == 0
+    assert rows.run.command_row == -1
+
+
+def test_the_device_and_the_simulation_are_the_same_rig(rows):
+    rows.test_at("sim://sflr")
+    run = rows.run
+    made = simulate(rows.rig, run)
+    assert np.array_equal(made.encoder, run.encoder)
+    assert np.array_equal(made.accel, run.accel)
+    assert np.array_equal(made.command, run.command)
+    assert np.max(run.encoder) > 50
+
+
+@pytest.mark.parametrize("answer_ticks", [1, 2, 4])
+def test_a_command_is_of_its_own_reference_and_the_readings_answer_ticks_before(rows, answer_ticks):
+    rows.test_at("sim://sflr", {"kind": "p", "gain": 1.0}, answer_ticks=answer_ticks)
+    run = rows.run
+    assert np.array_equal(run.command[:answer_ticks], np.zeros(answer_ticks))
+    assert np.array_equal(run.command[answer_ticks:], run.reference[answer_ticks:] - run.encoder[:-answer_ticks])
+    assert np.array_equal(run.command_sent[:-answer_ticks], run.command[answer_ticks:])
+    assert run.command_row == -answer_ticks
+    assert compare_replay(run, tolerance=0.0).same
+
+
+def test_in_open_loop_the_command_is_the_reference(rows):
+    rows.test_at("sim://sflr", {"kind": "open"}, reference=rows.reference(amplitude=37.5))
+    assert set(rows.run.command.tolist()) == {0.0, 38.0}  # a half goes up
+    assert np.array_equal(np.floor(rows.run.reference + 0.5), rows.run.command)
+
+
+def test_the_rows_have_the_logs_columns_and_clocks(rows):
+    rows.test_at("sim://sflr")
+    run = rows.run
+    assert len(rows.sinks[-1].rows[0]) == len(LOG_COLUMNS)
+    assert np.array_equal(run.n, np.arange(600))
+    assert np.array_equal(run.t, np.arange(600) / 500.0)
+    assert np.allclose(run.device_time, run.t, atol=1e-9, rtol=0.0)
+    assert np.all(np.diff(run.host_time) >= 0.0)
+    assert np.all(run.latency > 0.0)
+    assert np.allclose(run.slack, 0.002 - run.latency)
+    assert np.all((run.status & (Status.RUNNING | Status.FAULT)) == Status.RUNNING)
+
+
+def test_saturation_shows_in_the_status_of_a_tighter_device_only(rows):
+    rows.test_at("sim://sflr", reference=rows.reference(amplitude=200.0))
+    assert np.max(np.abs(rows.run.command)) == 200.0  # the compensator's own limit
+    assert not np.any(rows.run.status & Status.SATURATED)
+
+
+def test_the_log_is_made_from_complete_metadata_and_closed_with_the_counts(rows):
+    result = rows.test_at("sim://sflr", metadata={"test": {"kind": "step", "amplitude": 100}, "note": "kept"})
+    metadata = rows.sinks[-1].metadata
+    assert rows.sinks[-1].closed
+    assert metadata == result.metadata
+    assert metadata.rig["name"] == "sflr"
+    assert metadata.controller["kind"] == "lead"
+    assert metadata.test == {"kind": "step", "amplitude": 100}
+    assert metadata.firmware["board"] == "sflr"
+    assert 0 < metadata.session < 65536
+    assert metadata.command_row == -1
+    assert metadata.zero_id == result.identity.zero_id
+    extra = metadata.model_extra
+    assert extra["note"] == "kept"
+    assert extra["clock"] == "virtual"
+    assert extra["counts"]["samples"] == 600
+    assert RunMetadata.from_json("run", metadata.to_json()) == metadata
+
+
+def test_the_accelerometers_zero_is_measured_at_rest_and_taken_off(rows):
+    result = rows.test_at("sim://sflr?accel_offset=31&noise=1&seed=3", LEAD_ACCEL, accel_zero=None)
+    assert result.rest.accel_zero == pytest.approx(31.0, abs=0.4)
+    assert result.rest.accel_sigma == pytest.approx(1.0, rel=0.3)
+    assert rows.run.metadata.accel_zero == result.rest.accel_zero
+    assert compare_replay(rows.run, tolerance=0.0).same
+    assert np.max(np.abs(rows.run.command[:100])) <= 2.0  # without it the offset would drive the arm from the start
+
+
+def test_a_relative_reference_begins_where_the_encoder_rests(rows):
+    result = rows.test_at("sim://sflr?angle=0.5", relative=True)
+    assert result.rest.encoder == 81
+    assert rows.run.reference[0] == 81.0
+    assert rows.run.reference[-1] == 181.0
+    assert not np.any(rows.run.command[:100])
+    rows.test_at("sim://sflr?angle=0.5", {"kind": "open"}, relative=True, reference=rows.reference(amplitude=10.0))
+    assert rows.run.reference[0] == 0.0
+
+
+def test_runs_of_one_device_share_its_encoder_zero_and_no_session(rows):
+    with open_port("sim://sflr") as port:
+        results = [rows.test(port, relative=True) for _ in range(3)]
+    assert len({result.metadata.zero_id for result in results}) == 1
+    assert len({result.metadata.session for result in results}) == 3
+    assert rows.sinks[1].rows[0][4] == pytest.approx(100, abs=40)  # the second begins where the first left the arm
+
+
+def test_progress_is_told_ten_times_a_second_of_device_time(rows):
+    told = []
+    rows.test_at("sim://sflr", progress=lambda row, total: told.append((row, total)))
+    assert told == [(row, 600) for row in range(0, 600, 50)]
+
+
+def test_a_device_at_another_rate_is_refused_before_a_log_is_made(rows):
+    slow = rows.rig.model_copy(update={"sample_rate": 250.0})
+    with pytest.raises(UsageError, match="the device runs at 500 to 500 Hz, rig sflr at sample_rate = 250"):
+        rows.test_at("sim://sflr", rig=slow)
+    assert rows.sinks == []
+
+
+def test_an_arm_that_does_not_come_to_rest_is_refused_before_a_log_is_made(rows, monkeypatch):
+    monkeypatch.setattr("station.loop.run_test.SETTLE_SECONDS", 0.5)
+    with open_port("sim://sflr") as port:
+        device, count = port.serial.device, iter(range(10**6))
+        monkeypatch.setattr(device._source, "sample", lambda: (3 * next(count), 0))
+        with pytest.raises(WorkError, match=r"the arm still moves after 0.5 s"):
+            rows.test(port, relative=True)
+    assert rows.sinks == []
+
+
+@pytest.mark.parametrize("reference", [[], [1.0], [0.0, np.nan], [[0.0, 1.0]]])
+def test_a_reference_that_is_none_is_refused(rows, reference):
+    with pytest.raises(UsageError, match="reference"):
+        rows.test_at("sim://sflr", reference=np.array(reference))
+
+
+def test_a_log_replayed_as_a_device_is_answered_with_its_own_commands(rows, tmp_path):
+    from station.runs import export_run, load_run
+
+    rows.test_at("sim://sflr?noise=1&seed=2", LEAD_ACCEL, accel_zero=0.5)
+    export_run(rows.run, tmp_path / "run.csv")
+    run = load_run(tmp_path / "run.csv")
+    rows.test_at(f"replay://{tmp_path / 'run.csv'}", LEAD_ACCEL, accel_zero=0.5, reference=run.reference)
+    assert np.array_equal(rows.run.command, run.command)
+    assert np.array_equal(rows.run.encoder, run.encoder)
+
+
+def test_every_kind_of_test_runs(rows):
+    for test in ({"kind": "pulse", "duration": 0.8}, {"kind": "sweep", "duration": 1.0, "rest": 0.2, "f1": 20.0},
+                 {"kind": "multisine", "duration": 1.0}, {"kind": "prbs", "duration": 1.0}):
+        reference = reference_from_test(test, 500.0)
+        result = rows.test_at("sim://sflr", {"kind": "p", "gain": 1.0}, reference=reference)
+        assert result.counts.samples == len(reference)

@@ -1,0 +1,208 @@
+"""However a test ends, the motor is at zero and the log is closed."""
+
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+
+import numpy as np
+import pytest
+
+from station.control.compensators import Compensator
+from station.device.client import Client
+from station.device.port import open_port
+from station.device.protocol import State
+from station.device.server import DeviceProcess
+from station.errors import WorkError
+from station.loop.run_test import identify_clear
+
+ROW = 200  # well into the step: the motor is driven
+
+
+class Ends(Compensator):
+    """A lead compensator that fails at a row."""
+
+    error: BaseException
+
+    def step(self, reference, encoder, accel):
+        self.rows = getattr(self, "rows", 0) + 1
+        if self.rows == ROW:
+            raise self.error
+        return super().step(reference, encoder, accel)
+
+
+def ending(rows, error):
+    made = rows.compensator()
+    made.__class__, made.error = Ends, error
+    return made
+
+
+def at_rest(port):
+    core = port.serial.device.core
+    return core.state == State.IDLE and core.drive == 0
+
+
+def test_the_end(rows):
+    with open_port("sim://sflr") as port:
+        rows.test(port)
+        assert at_rest(port)
+
+
+@pytest.mark.parametrize("error", [ValueError("no"), KeyboardInterrupt(), SystemExit(3), MemoryError(), WorkError("x")])
+def test_whatever_is_raised_in_the_compensator(rows, error):
+    with open_port("sim://sflr") as port:
+        with pytest.raises(type(error)):
+            rows.test(port, compensator=ending(rows, error))
+        assert at_rest(port)
+        assert rows.sinks[-1].closed
+        assert len(rows.run) == ROW  # the sample that was not answered is logged too
+        assert np.isnan(rows.run.command_sent[-1])
+        assert rows.run.command[-1] != 0.0
+        rows.test(port)  # and the next test runs
+        assert len(rows.run) == 600
+
+
+@pytest.mark.parametrize("error", [WorkError("disk full"), KeyboardInterrupt()])
+def test_a_log_that_fails(rows, error):
+    with open_port("sim://sflr") as port:
+        def failing(metadata):
+            sink = rows.sink(metadata)
+            keep = sink.rows.append
+
+            def append(row):
+                keep(row)
+                if row[0] == ROW:
+                    raise error
+            sink.append = append
+            return sink
+        with pytest.raises(type(error)):
+            rows.test(port, log_sink=failing)
+        assert at_rest(port)
+
+
+def test_a_progress_display_that_fails(rows):
+    def progress(row, total):
+        if row >= ROW:
+            raise RuntimeError("display")
+    with open_port("sim://sflr") as port:
+        with pytest.raises(RuntimeError):
+            rows.test(port, progress=progress)
+        assert at_rest(port)
+
+
+def test_a_log_that_cannot_be_made_starts_nothing(rows):
+    def refuse(metadata):
+        raise WorkError("no room")
+    with open_port("sim://sflr") as port:
+        with pytest.raises(WorkError, match="no room"):
+            rows.test(port, log_sink=refuse)
+        core = port.serial.device.core
+        assert core.drive == 0
+        assert core.state == State.ARMED  # never started, so never driven
+        rows.test(port)
+
+
+def test_a_pulled_cable_is_told_and_the_watchdog_takes_the_motor_to_zero(rows):
+    with open_port(f"sim://sflr?unplug_after={ROW}") as port:
+        device = port.serial.device
+        with pytest.raises(WorkError, match=r"the line was lost .* check cable and device"):
+            rows.test(port)
+        assert device.core.running  # no stop can reach it
+        assert device.core.drive != 0
+        drives = [device.core.tick(i, 0, 0) for i in range(12)]
+        assert not any(drives[2:])
+        assert device.core.state == State.FAULT
+    assert rows.sinks[-1].closed
+    assert len(rows.run) == ROW
+    assert np.isnan(rows.run.latency[-1])
+
+
+def test_a_device_that_falls_silent_is_told(rows):
+    with open_port(f"sim://sflr?silent_after={ROW}") as port, pytest.raises(
+            WorkError, match=f"the device fell silent after row {ROW - 2}"):
+        rows.test(port)
+    assert rows.sinks[-1].closed
+
+
+HOST = textwrap.dedent("""
+    import sys
+    from station.control.compensators import Compensator
+    from station.control.references import reference_from_test
+    from station.device.port import open_port
+    from station.loop.run_test import run_test
+    from station.loop.sink import MemorySink
+    from station.rig import load_rig
+    rig = load_rig("sflr")
+    compensator = Compensator.from_spec({"kind": "open"}, 500.0, 200.0)
+    def progress(row, rows):
+        if row >= 150:
+            print("driving", flush=True)
+    with open_port(sys.argv[1]) as port:
+        run_test(port, rig, compensator, reference_from_test({"kind": "step", "duration": 60.0}, 500.0),
+                 log_sink=MemorySink, progress=progress, accel_zero=0.0, relative=False)
+""")
+
+
+def host_at(url, until):
+    """A host in its own process, driving the motor; ended by ``until``; its exit status and its last words."""
+    host = subprocess.Popen([sys.executable, "-c", HOST, url], stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                            text=True)
+    try:
+        assert "driving" in host.stdout.readline(), host.stderr.read()
+        until(host)
+        return host.wait(timeout=30), host.stderr.read()
+    finally:
+        host.kill()
+        host.wait()
+        host.stdout.close()
+        host.stderr.close()
+
+
+@pytest.fixture(scope="module")
+def device():
+    """In lockstep, so that a busy machine faults no host; once a host has hung up it ticks in real time."""
+    if sys.platform == "win32":
+        pytest.skip("signals of POSIX")
+    with DeviceProcess("sflr", speed=0) as served:
+        yield served
+
+
+def test_a_killed_host_leaves_a_device_in_fault_with_its_motor_at_zero(device):
+    host_at(device.addresses.tcp, lambda host: os.kill(host.pid, signal.SIGKILL))
+    time.sleep(0.3)
+    with open_port(device.addresses.tcp) as port:
+        client = Client(port)
+        assert client.identify().state == State.FAULT
+        found = client.statistics()
+        assert (found.held, found.zeroed) == (1, 9)
+        client.wait_for_rest()
+
+
+def test_ctrl_c_stops_the_device(device):
+    for url in (device.addresses.pty, device.addresses.tcp):
+        with open_port(url) as port:
+            identify_clear(Client(port))
+        status, words = host_at(url, lambda host: host.send_signal(signal.SIGINT))
+        assert status != 0
+        assert "KeyboardInterrupt" in words
+        with open_port(url) as port:
+            client = Client(port)
+            assert client.identify().state == State.IDLE
+            found = client.statistics()
+            assert (found.held, found.zeroed) == (0, 0)
+            client.wait_for_rest()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_a_killed_device_is_told_in_one_line(rows):
+    with DeviceProcess("sflr", pty=False, speed=0) as served, open_port(served.addresses.tcp) as port:
+        def progress(row, total):
+            if row == ROW:
+                served.process.kill()
+        with pytest.raises(WorkError) as told:
+            rows.test(port, progress=progress)
+    assert "\n" not in str(told.value)
+    assert served.addresses.tcp in str(told.value)
+    assert rows.sinks[-1].closed
