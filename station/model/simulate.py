@@ -60,8 +60,11 @@ class Model:
     """Bound of what the modes left out could add to an output, counts."""
 
 
-def build(rig: Rig, truncation: float = TRUNCATION) -> Model:
-    """Assemble, decouple, truncate and sample a rig and lay out its effects."""
+def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP) -> Model:
+    """Assemble, decouple, truncate and sample a rig and lay out its effects.
+
+    ``truncation`` (counts) and ``longest`` (step, s) buy speed for accuracy.
+    """
     parts = assemble(rig)
     whole = modal_form(parts)
     period, delay, late = rig.period, 0.0, {Stage.ENCODER_DELAY: 0.0, Stage.ACCEL_DELAY: 0.0}
@@ -74,7 +77,7 @@ def build(rig: Rig, truncation: float = TRUNCATION) -> Model:
             late[effect.stage] += next(iter(effect.values().values()))
     laws = sorted((e for e in rig.effects if e.stage in _STAGE), key=lambda e: (_STAGE[e.stage], e.order))
     within = bool(laws) or any(late.values())
-    substeps = math.ceil(period / SUBSTEP - 1e-9) if within else 1
+    substeps = math.ceil(period / longest - 1e-9) if within else 1
     h = period / substeps
     ports = _ports(rig, laws)
     inputs, rotations = _port_vectors(parts, ports)

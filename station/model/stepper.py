@@ -300,7 +300,7 @@ def sense(plan, state, offset, rounding):
     return encoder, accel
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def _advance(plan, state, command, work):
     """Hold a command over one period, with ports, delays and filters."""
     place = state.clock[1] + 1

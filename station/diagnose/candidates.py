@@ -1,0 +1,42 @@
+"""Every cause that a diagnosis considers on a rig: effects at their places and the rig's own constants."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from station.diagnose.problem import Hypothesis
+from station.model.effects import Effect, catalogue
+from station.rig import Rig
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One possible cause and the sizes from which a fit may start."""
+
+    effect: type[Effect] | None
+    at: str
+    constant: str | None = None
+    guesses: tuple[dict[str, float], ...] = ()
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """As the diagnosis file names it."""
+        return (f"parameter:{self.constant}", "") if self.effect is None else (self.effect.name, self.at)
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """This cause alone."""
+        if self.effect is None:
+            return Hypothesis((), (self.constant or "",))
+        return Hypothesis(((self.effect, self.at),))
+
+
+def candidates(rig: Rig) -> list[Candidate]:
+    """All causes for this rig; what its file already holds is part of it and no cause."""
+    held = {(e.name, e.at) for e in rig.effects}
+    found = []
+    for cls in catalogue().values():
+        for at in cls.sites:
+            if cls.fits(rig, at) and (cls.name, at) not in held:
+                found.append(Candidate(cls, at, None, tuple(cls.guesses(rig, at))))
+    return found + [Candidate(None, "", path) for path in rig.constants()]

@@ -1,0 +1,191 @@
+"""The diagnosis: what the simulation gets wrong, why, and what the better rig buys on unseen runs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from station.diagnose.evidence import evidence
+from station.diagnose.experiment import next_experiment
+from station.diagnose.heldout import gain, leave_each_out, settle, simulate_all
+from station.diagnose.measures import nrmse, step_measures
+from station.diagnose.posterior import Odds, Remainder, estimates, odds, remainder
+from station.diagnose.problem import Problem
+from station.diagnose.result import (
+    Cause,
+    Diagnosis,
+    DiagnosisResult,
+    Gain,
+    RankedCause,
+    Rival,
+    RunComparison,
+    Verdict,
+    Wrong,
+)
+from station.diagnose.search import EFFORTS, Search, explore
+from station.errors import UsageError, WorkError
+from station.model.simulate import Simulation
+from station.rig import Rig
+from station.runs.run import Run
+
+LISTED = 0.5
+"""A cause is named from this probability on."""
+SURE = 0.8
+"""Below this the first cause is ambiguous."""
+VISIBLE = 25.0
+"""chi^2 at which an effect of a plain size shows."""
+
+
+def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
+             progress: Callable[[str, float], None] | None = None) -> DiagnosisResult:
+    """Diagnose a rig from its runs.
+
+    UsageError for an unknown effort; WorkError where the runs cannot be used (rate, no motion).
+    """
+    begun = time.perf_counter()
+    if effort not in EFFORTS:
+        raise UsageError(f"--effort: {effort!r} is none of {', '.join(EFFORTS)}")
+    report = progress or (lambda text, share: None)
+    runs = _usable(rig, runs)
+    problem = Problem(rig, runs)
+    search = explore(problem, EFFORTS[effort], report)
+    found_odds = odds(search)
+    best_keys = found_odds.sets[0][0]
+    best = search.fits[best_keys]
+    nothing = search.fits[frozenset()]
+    report("judging on runs left out", 0.92)
+    zero = np.zeros(nothing.layout.size)
+    start, offset = settle(problem, nothing.layout, zero, problem.start, problem.offset)
+    before = simulate_all(problem, nothing.layout, zero, start, offset)
+    after = leave_each_out(problem, best).simulations
+    refit = after if not best_keys else leave_each_out(problem, nothing).simulations
+    names = [run.name for run in runs]
+    bought = gain(problem, names, before, after)
+    left = remainder(search, best)
+    values, constants = estimates(search, best)
+    verdict = _verdict(search, found_odds, best_keys, left, gain(problem, names, refit, after), bought)
+    causes = []
+    if verdict in ("explained", "partly_explained", "ambiguous"):
+        for key in sorted(best_keys, key=lambda k: -found_odds.causes[k]):
+            others = found_odds.replacements(best_keys, key)
+            rivals = [Rival(effect=k[0], at=k[1], probability=min(p, 1.0))
+                      for k, p in sorted(others.items(), key=lambda row: -row[1])[:5] if p >= 0.005]
+            causes.append(Cause(effect=key[0], at=key[1], probability=min(found_odds.causes[key], 1.0),
+                                parameters=values[key], rivals=rivals))
+    extended = problem.rig_of(best.layout, best.x) if causes else problem.rig_of(nothing.layout, nothing.x)
+    refit_rig = problem.rig_of(nothing.layout, nothing.x)
+    shown: list[Simulation | None] = list(after) if causes else [None] * len(runs)
+    comparisons = [RunComparison(run, b, r, a) for run, b, r, a in zip(runs, before, refit, shown, strict=True)]
+    report("choosing the next experiment", 0.96)
+    diagnosis = Diagnosis(verdict=verdict, wrong=_wrong(runs, before), causes=causes, gain=bought,
+                          next_experiment=next_experiment(search, found_odds, verdict))
+    pictures = evidence(refit_rig, extended, runs, [(c.effect, c.at) for c in causes])
+    report("done", 1.0)
+    return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, _ranking(search, found_odds), pictures,
+                           constants, _notes(search, left), time.perf_counter() - begun)
+
+
+def _usable(rig: Rig, runs: Sequence[Run]) -> list[Run]:
+    if not runs:
+        raise UsageError("diagnose: at least one run is wanted")
+    for run in runs:
+        if abs(run.sample_rate / rig.sample_rate - 1.0) > 0.01:
+            raise WorkError(f"{run.name}: sampled at {run.sample_rate:.6g} Hz, the rig at {rig.sample_rate:.6g} Hz")
+        if hasattr(run, "require_unbroken"):
+            run.require_unbroken()
+        if rig.accelerometer is not None and run.accel is None:
+            raise WorkError(f"{run.name}: no accelerometer column, but rig {rig.name} has an accelerometer")
+    if len(runs) == 1:
+        return _halves(runs[0])
+    return list(runs)
+
+
+def _halves(run: Run) -> list[Run]:
+    raise WorkError(f"{run.name}: one run alone cannot be judged on unseen data; give at least two")
+
+
+def _verdict(search: Search, found: Odds, best: frozenset, left: Remainder, over_refit: Gain, over_nominal: Gain,
+             ) -> Verdict:
+    if not best:
+        if not left.is_noise:
+            return "unexplained"
+        plain = {}
+        for promise in search.promises:
+            if promise.candidate.effect is not None:
+                key = promise.candidate.key
+                plain[key] = max(plain.get(key, 0.0), promise.information)
+        seen = sum(value > VISIBLE for value in plain.values())
+        return "nothing_missing" if seen >= 0.5 * len(plain) else "not_enough_data"
+    first = max(found.causes[key] for key in best)
+    if not left.is_noise:
+        share = over_nominal.explained_fraction
+        if over_refit.explained_fraction is None or over_refit.explained_fraction < 0.3 or share is None:
+            return "unexplained"
+        return "partly_explained"
+    return "ambiguous" if first < SURE else "explained"
+
+
+def _wrong(runs: Sequence[Run], before: Sequence[Simulation]) -> list[Wrong]:
+    """What the nominal rig gets wrong, the largest first."""
+    found = []
+    for run, simulation in zip(runs, before, strict=True):
+        count = 100.0 / max(np.ptp(run.reference), 1.0)
+        measured, simulated = step_measures(run, run.encoder), step_measures(run, simulation.encoder)
+        for name in measured:
+            m, s = measured[name], simulated[name]
+            if name == "overshoot_percent" and m is not None and s is not None and abs(m - s) > 1.5 * count:
+                found.append((abs(m - s), Wrong(run=run.name, channel="encoder", measure=name, simulated=s, measured=m)))
+            elif name == "settling_time" and m != s and (m is None or s is None or abs(m - s) > 0.05):
+                found.append((0.0, Wrong(run=run.name, channel="encoder", measure=name, simulated=s, measured=m)))
+        if not measured:
+            peak_m, peak_s = float(np.max(np.abs(run.encoder))), float(np.max(np.abs(simulation.encoder)))
+            if abs(peak_m - peak_s) > 2.0:
+                found.append((100.0 * abs(peak_m - peak_s) / max(peak_m, 1.0),
+                              Wrong(run=run.name, channel="encoder", measure="peak_counts", simulated=peak_s,
+                                    measured=peak_m)))
+        for channel in ("encoder", "accel"):
+            m, s = getattr(run, channel), getattr(simulation, channel)
+            if m is None or s is None:
+                continue
+            misfit = nrmse(m, s)
+            if misfit > 0.1:
+                worst = int(np.argmax(np.abs(m - s)))
+                found.append((misfit, Wrong(run=run.name, channel=channel, measure="nrmse", simulated=misfit,
+                                            measured=0.0, where=f"largest at t = {run.t[worst]:.3f} s")))
+    return [wrong for _, wrong in sorted(found, key=lambda row: -row[0])]
+
+
+def _ranking(search: Search, found: Odds) -> list[RankedCause]:
+    """Every cause that was fitted, by probability, then by how much it bought alone."""
+    nothing = search.fits[frozenset()].chi2
+    temperature = search.temperature()
+    rows: dict[tuple[str, str], RankedCause] = {}
+    for keys, fitted in search.fits.items():
+        if len(keys) == 1:
+            key = next(iter(keys))
+            values, _ = estimates(search, fitted)
+            rows[key] = RankedCause(key[0], key[1], found.causes.get(key, 0.0), (nothing - fitted.chi2) / temperature,
+                                    None, values.get(key, {}))
+    for key, probability in found.causes.items():
+        if key not in rows:
+            smallest = min((f for k, f in search.fits.items() if key in k), key=lambda f: f.objective)
+            values, _ = estimates(search, smallest)
+            rows[key] = RankedCause(key[0], key[1], probability, (nothing - smallest.chi2) / temperature, None,
+                                    values.get(key, {}), note=f"as part of {smallest.layout.hypothesis.label}")
+    return sorted(rows.values(), key=lambda r: (-r.probability, -r.delta_chi2))
+
+
+def _notes(search: Search, left: Remainder) -> list[str]:
+    problem = search.problem
+    notes = [f"{len(search.fits)} sets of causes fitted to {len(problem.runs)} runs",
+             f"noise at rest: encoder {problem.noise[0]:.2f}, accelerometer {problem.noise[1]:.2f} counts",
+             f"scale of what the best set leaves: {search.temperature():.2f} of the noise's variance"]
+    for r, run in enumerate(problem.runs):
+        for c, channel in enumerate(("encoder", "accel")[: problem.channels]):
+            if max(left.size[r, c], left.slow[r, c]) > 6.0:
+                notes.append(f"{run.name}: {channel} is left with more than noise "
+                             f"({left.size[r, c]:.0f} sigma in size, {left.slow[r, c]:.0f} sigma in slow motion)")
+    return notes
+

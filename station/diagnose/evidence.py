@@ -1,0 +1,5 @@
+"""Pictures specific to a cause."""
+
+
+def evidence(rig, extended_rig, runs, causes):
+    return []

@@ -1,0 +1,93 @@
+"""What an extension buys on runs that no fit has seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from station.diagnose.estimate import Fit, fit, nuisance_priors
+from station.diagnose.measures import floor, nrmse
+from station.diagnose.problem import Layout, Problem
+from station.diagnose.result import ChannelGain, Gain
+from station.model.simulate import Simulation, build
+
+
+def settle(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray, offset: np.ndarray,
+           ) -> tuple[np.ndarray, np.ndarray]:
+    """Starting angles and accelerometer offsets that suit a given rig best (two Gauss-Newton steps)."""
+    prior = nuisance_priors(problem)
+    angle = 0.5 * problem.rig.angle_per_count
+    start, offset = start.copy(), offset.copy()
+    for _ in range(2):
+        here = problem.outputs(layout, x, start, offset)
+        moved = [problem.outputs(layout, x, start + angle, offset)]
+        if problem.has_accel:
+            moved.append(problem.outputs(layout, x, start, offset + 0.1))
+        for r, (y, m, s) in enumerate(zip(here, problem.measured, problem.scale, strict=True)):
+            columns = np.stack([((o[r] - y) / d).ravel() for o, d in zip(moved, (angle, 0.1), strict=False)])
+            away = np.array([start[r] - problem.start[r], offset[r] - problem.offset[r]])[: problem.channels]
+            step = np.linalg.solve(columns @ columns.T + np.diag(prior), columns @ (m * s - y).ravel() - prior * away)
+            start[r] += step[0]
+            if problem.has_accel:
+                offset[r] += step[1]
+    return start, offset
+
+
+def simulate_all(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray, offset: np.ndarray,
+                 rounding: bool = True) -> list[Simulation]:
+    """Every run as the device would have read it (exact model, whole counts)."""
+    model = build(problem.rig_of(layout, x))
+    return [problem.simulate_run(model, layout, x, r, start[r], offset[r], rounding) for r in range(len(problem.runs))]
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Simulations of every run by a fit that left that run out."""
+
+    simulations: list[Simulation]
+    parameters: list[np.ndarray]
+
+
+def leave_each_out(problem: Problem, found: Fit) -> HeldOut:
+    """Fit again without each run in turn and simulate that run."""
+    def without(r: int) -> tuple[Simulation, np.ndarray]:
+        weights = np.ones(len(problem.runs))
+        weights[r] = 0.0
+        left = fit(problem, found.layout, found.x, found.start, found.offset, weights=weights, iterations=4,
+                   jacobian=found.jacobian, parallel=False, exact_end=False)
+        start, offset = settle(problem, left.layout, left.x, left.start, left.offset)
+        model = build(problem.rig_of(left.layout, left.x))
+        return problem.simulate_run(model, left.layout, left.x, r, start[r], offset[r], True), left.x
+    pairs = list(problem.pool.map(without, range(len(problem.runs))))
+    return HeldOut([p[0] for p in pairs], [p[1] for p in pairs])
+
+
+def gain(problem: Problem, names: list[str], before: list[Simulation], after: list[Simulation]) -> Gain:
+    """The diagnosis file's gain: nrmse over all held-out runs and the share of the explainable error removed."""
+    found, fractions = {}, []
+    for c, channel in enumerate(("encoder", "accel")[: problem.channels]):
+        error = {"before": 0.0, "after": 0.0}
+        spread = explained = explainable = 0.0
+        counted = False
+        for run, old, new in zip(problem.runs, before, after, strict=True):
+            measured = getattr(run, channel)
+            least = floor(measured, problem.noise[c])
+            b, a = nrmse(measured, getattr(old, channel)), nrmse(measured, getattr(new, channel))
+            size = float(np.sum((measured - measured.mean()) ** 2))
+            if size == 0.0:
+                continue
+            spread += size
+            error["before"] += b * b * size
+            error["after"] += a * a * size
+            if b > 1.2 * least:
+                counted = True
+                explained += b - a
+                explainable += b - least
+        if spread:
+            found[channel] = ChannelGain(nrmse_before=float(np.sqrt(error["before"] / spread)),
+                                         nrmse_after=float(np.sqrt(error["after"] / spread)))
+        if counted:
+            fractions.append(explained / explainable)
+    return Gain(held_out=names, encoder=found.get("encoder"), accel=found.get("accel"),
+                explained_fraction=float(np.mean(fractions)) if fractions else None)

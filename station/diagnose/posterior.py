@@ -1,0 +1,158 @@
+"""From fits to odds: probabilities over sets of causes, intervals, and whether what remains is noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from station.diagnose.estimate import Fit
+from station.diagnose.result import Estimate
+from station.diagnose.search import Search
+
+Key = tuple[str, str]
+UNITS = {"motor.inertia": "kg m^2", "motor.damping": "N m s/rad", "motor.gain": "N m/count",
+         "drive.stiffness": "N m/rad", "drive.damping": "N m s/rad", "base.inertia": "kg m^2",
+         "clamp.stiffness": "N m/rad", "clamp.damping": "N m s/rad", "beam.mass_per_length": "kg/m",
+         "beam.length": "m", "beam.flexural_rigidity": "N m^2", "beam.damping": "s", "tip.mass": "kg",
+         "tip.inertia": "kg m^2", "accelerometer.gain": "counts s^2/m"}
+
+
+@dataclass(frozen=True)
+class Odds:
+    """Posterior over the sets of causes that the search has fitted."""
+
+    sets: list[tuple[frozenset[Key], float]]
+    """(causes, probability), best first."""
+    causes: dict[Key, float]
+    nothing: float
+
+    def replacements(self, best: frozenset[Key], cause: Key) -> dict[Key, float]:
+        """Probability of each other cause in sets that lack this one."""
+        found: dict[Key, float] = {}
+        for keys, probability in self.sets:
+            if cause not in keys:
+                for key in keys - best:
+                    found[key] = found.get(key, 0.0) + probability
+        return found
+
+
+def odds(search: Search) -> Odds:
+    """Normalise the scores of all fits; a constant within 3 sigma of nominal is not a cause."""
+    temperature = search.temperature()
+    rows = [(keys, search.score(found, temperature)) for keys, found in search.fits.items()
+            if all(is_beyond(search, found, k) for k in keys)]
+    top = max(score for _, score in rows)
+    weights = [(keys, math.exp(max(score - top, -700.0))) for keys, score in rows]
+    total = sum(w for _, w in weights)
+    sets = sorted(((keys, w / total) for keys, w in weights), key=lambda row: -row[1])
+    causes: dict[Key, float] = {}
+    for keys, probability in sets:
+        for key in keys:
+            causes[key] = causes.get(key, 0.0) + probability
+    nothing = sum(p for keys, p in sets if not keys)
+    return Odds(sets, causes, nothing)
+
+
+def deviation(found: Fit, rig_sigma: dict[str, float], covariance: np.ndarray, path: str) -> float:
+    """How far a constant is from nominal, in its own sigma, given what the others say of a common factor."""
+    i = found.layout.paths.index(path)
+    shared = [j for j in range(len(found.layout.paths)) if j != i and covariance[i, j] != 0.0]
+    expected, variance = 0.0, covariance[i, i]
+    if shared:
+        gain = np.linalg.solve(covariance[np.ix_(shared, shared)], covariance[shared, i])
+        expected = float(gain @ found.logs[shared])
+        variance -= float(gain @ covariance[shared, i])
+    return abs(float(found.logs[i]) - expected) / math.sqrt(max(variance, rig_sigma[path] ** 2))
+
+
+def is_beyond(search: Search, found: Fit, key: Key, sigmas: float = 3.0) -> bool:
+    """Whether a cause may be accused: any effect, and a constant beyond 3 of its own sigma."""
+    if not key[0].startswith("parameter:"):
+        return True
+    rig, path = search.problem.rig, key[0].split(":", 1)[1]
+    paths = search.problem.paths
+    return deviation(found, {p: rig.sigma(p) for p in paths}, rig.log_covariance(paths), path) > sigmas
+
+
+def estimates(search: Search, found: Fit) -> tuple[dict[Key, dict[str, Estimate]], dict[str, Estimate]]:
+    """Fitted parameters of each cause, and the rig's constants, with 95 % intervals."""
+    temperature, layout = search.temperature(), found.layout
+    covariance = found.covariance(temperature)
+    deviations = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(deviations, deviations)
+    n = len(layout.paths)
+    nominal = search.problem.rig.constants()
+    log_sd = np.sqrt(np.diag(layout.root @ covariance[:n, :n] @ layout.root.T))
+    prior_sd = np.sqrt(np.diag(layout.root @ layout.root.T))
+    constants = {}
+    for i, path in enumerate(layout.paths):
+        value, spread = nominal[path] * math.exp(found.logs[i]), math.exp(1.96 * log_sd[i])
+        state = "not_excited" if log_sd[i] > 0.8 * prior_sd[i] else "determined"
+        ends = sorted((value / spread, value * spread))
+        constants[path] = Estimate(value=value, low=ends[0], high=ends[1], unit=UNITS[path], state=state)
+    causes: dict[Key, dict[str, Estimate]] = {}
+    for i, coordinate in enumerate(layout.coordinates):
+        k = n + i
+        cls, at = layout.hypothesis.effects[coordinate.effect]
+        low, value, high = (found.x[k] + s * 1.96 * deviations[k] for s in (-1.0, 0.0, 1.0))
+        if coordinate.info.periodic:
+            ends = (low * coordinate.scale, coordinate.to_value(value), high * coordinate.scale)
+            if ends[2] - ends[0] >= 2.0 * math.pi:
+                ends = (-math.pi, ends[1], math.pi)
+            else:
+                ends = (coordinate.to_value(low), ends[1], coordinate.to_value(high))
+        else:
+            ends = (coordinate.to_value(low), coordinate.to_value(value), coordinate.to_value(high))
+        others = np.delete(np.abs(correlation[k]), k)
+        info = coordinate.info
+        if deviations[k] > 0.8 / math.sqrt(layout.prior_precision[k]):
+            state = "not_excited"
+        elif not info.periodic and ends[1] in (info.low, info.high):
+            state = "at_bound"
+        elif others.size and np.max(others) > 0.95:
+            state = "traded_off"
+        else:
+            state = "determined"
+        causes.setdefault((cls.name, at), {})[coordinate.name] = Estimate(
+            value=float(ends[1]), low=float(ends[0]), high=float(ends[2]), unit=info.unit, state=state)
+    for path in layout.hypothesis.constants:
+        causes[(f"parameter:{path}", "")] = {"value": constants[path]}
+    return causes, constants
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What a fit leaves, per run and channel, against what noise would leave."""
+
+    size: np.ndarray
+    """(runs, channels) z-score of the mean square."""
+    slow: np.ndarray
+    """(runs, channels) z-score of the mean square of sums over SPAN samples: structure, not noise."""
+
+    @property
+    def is_noise(self) -> bool:
+        """Whether nothing stands out."""
+        return bool(self.size.max() < 6.0 and self.slow.max() < 6.0)
+
+
+SPAN = 25
+
+
+def remainder(search: Search, found: Fit) -> Remainder:
+    """Judge the residuals of a fit.
+
+    Errors count by their share.  A sum over SPAN samples has the variance SPAN where errors last 1/share < SPAN
+    samples, and (sum sqrt(share))^2 where one error lasts all through.
+    """
+    size, slow = [], []
+    for e, share in zip(found.residuals, search.problem.share, strict=True):
+        independent = share.sum(axis=1)
+        size.append((np.sum(e * e, axis=1) - independent) / np.sqrt(3.0 * independent))
+        rows = e.shape[1] // SPAN * SPAN
+        sums = e[:, :rows].reshape(len(e), -1, SPAN).sum(axis=2) ** 2
+        expected = np.minimum(np.sqrt(share[:, :rows]).reshape(len(e), -1, SPAN).sum(axis=2) ** 2, SPAN)
+        ratio = sums.sum(axis=1) - expected.sum(axis=1)
+        slow.append(ratio / np.sqrt(3.0 * np.sum(expected**2, axis=1)))
+    return Remainder(np.array(size), np.array(slow))

@@ -1,0 +1,243 @@
+"""Runs, a nominal rig and everything that a hypothesis may move, as one weighted least-squares problem.
+
+Residuals are (measured - simulated) times a scale per sample, the simulation unrounded so that it is smooth in its
+parameters.  The scale is sqrt(share)/sigma; sigma^2 holds sensor noise, rounding, and what rounding inside the loop
+feeds back (``calibrate``).  While the encoder stands still its rounding error stands still too, so many samples say no
+more than one: ``share`` is the number of independent rounding errors per sample, the counts crossed.  The rig's constants enter as w with
+log(c/c_nominal) = L w, L L^T their prior covariance, so that their prior is |w|^2; every other parameter has a prior
+of its own.  Per run the starting angle and the accelerometer's offset are nuisances, estimated always.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from station.diagnose.noise import QUANTISATION, noise_sigmas, rest_rows
+from station.model.effects import Effect, ParameterInfo
+from station.model.simulate import Model, Simulation, build, simulate_model
+from station.rig import Rig
+from station.runs.run import Run
+
+FAST = {"truncation": 0.1, "longest": 1e-3}
+"""Accuracy of the simulations within a fit: below 0.1 count."""
+ELEMENTS = 8
+"""Fewest beam elements of the fits: with fewer the mesh's own error would look like physics."""
+WIDE = 1.5
+"""Prior sigma of the logarithm of a constant that a hypothesis sets free, and of an effect's size."""
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """One parameter of an effect as the fit moves it: value = exp(x) where positive, else scale x."""
+
+    effect: int
+    name: str
+    info: ParameterInfo
+    log: bool
+    scale: float
+
+    def to_value(self, x: float) -> float:
+        """The parameter's value, kept within its bounds."""
+        value = math.exp(min(max(x, -80.0), 80.0)) if self.log else self.scale * x
+        if self.info.periodic:
+            return (value + math.pi) % (2.0 * math.pi) - math.pi
+        return min(max(value, self.info.low), self.info.high)
+
+    def to_x(self, value: float) -> float:
+        """Inverse of ``to_value``."""
+        return math.log(max(value, 1e-300)) if self.log else value / self.scale
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A set of causes: effects (class, place) on top of the rig's own, and constants set free."""
+
+    effects: tuple[tuple[type[Effect], str], ...] = ()
+    constants: tuple[str, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """For tables and progress."""
+        names = [f"{cls.name}@{at}" for cls, at in self.effects] + [f"parameter:{c}" for c in self.constants]
+        return " + ".join(names) or "nothing"
+
+    def keys(self) -> list[tuple[str, str]]:
+        """(effect, at) of every cause, as the diagnosis file names them."""
+        return [(cls.name, at) for cls, at in self.effects] + [(f"parameter:{c}", "") for c in self.constants]
+
+    def __add__(self, other: Hypothesis) -> Hypothesis:
+        return Hypothesis(self.effects + other.effects, self.constants + other.constants)
+
+
+@dataclass
+class Layout:
+    """Where the parameters of one hypothesis stand in a vector, and their prior."""
+
+    hypothesis: Hypothesis
+    paths: list[str]
+    root: np.ndarray
+    coordinates: list[Coordinate]
+    zeros: int
+    """Further encoder zeros (beyond the first) whose absolute angle is unknown."""
+    gap_places: int
+    prior_mean: np.ndarray
+    prior_precision: np.ndarray
+    classes: list[type[Effect]] = field(default_factory=list)
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return self.prior_mean.size
+
+
+class Problem:
+    """The data side; see the module."""
+
+    def __init__(self, rig: Rig, runs: Sequence[Run], threads: int = 2) -> None:
+        if rig.beam is not None and rig.beam.elements < ELEMENTS:
+            rig = rig.model_copy(update={"beam": rig.beam.model_copy(update={"elements": ELEMENTS})})
+        self.rig, self.runs = rig, list(runs)
+        self.paths = list(rig.constants())
+        encoder, accel = noise_sigmas(self.runs)
+        self.noise = (encoder, accel)
+        self.sigma = np.array([math.sqrt(encoder**2 + QUANTISATION), math.sqrt(accel**2 + QUANTISATION)])
+        self.has_accel = rig.accelerometer is not None and all(r.accel is not None for r in self.runs)
+        self.measured = [np.stack([r.encoder, r.accel]) if self.has_accel else r.encoder[None, :] for r in self.runs]
+        self.share = [self._shares(r) for r in self.runs]
+        self.scale = [np.sqrt(share) / self.sigma[: self.channels, None] for share in self.share]
+        self.start = np.array([self._start_angle(r) for r in self.runs])
+        self.offset = np.array([self._offset(r) for r in self.runs])
+        zero_ids = [r.metadata.zero_id or f"own {i}" for i, r in enumerate(self.runs)]
+        groups = list(dict.fromkeys(zero_ids))
+        self.zero_group = [groups.index(z) for z in zero_ids]
+        self.pool = ThreadPoolExecutor(threads)
+
+    def _shares(self, run: Run) -> np.ndarray:
+        """Independent errors per sample (channels, n)."""
+        span = 10
+        padded = np.pad(run.encoder, span, mode="edge")
+        speed = np.abs(padded[2 * span:] - padded[: -2 * span]) / (2 * span)
+        if self.noise[0] > 0.3:
+            speed = np.ones_like(speed)
+        share = np.clip(speed, 0.02, 1.0)
+        return np.stack([share, np.ones_like(share)]) if self.has_accel else share[None, :]
+
+    @property
+    def samples(self) -> np.ndarray:
+        """Independent samples per run."""
+        return np.array([share.sum() for share in self.share])
+
+    def calibrate(self, layout: Layout, x: np.ndarray, start: np.ndarray, offset: np.ndarray) -> None:
+        """Add to each run's variance what rounding inside its loop feeds back, seen on the model itself."""
+        model = build(self.rig_of(layout, x), **FAST)
+        for r, run in enumerate(self.runs):
+            if run.metadata.controller.get("kind") == "open":
+                continue
+            pair = [self.simulate_run(model, layout, x, r, start[r], offset[r], rounding=flag) for flag in (True, False)]
+            for c, channel in enumerate(("encoder", "accel")[: self.channels]):
+                difference = getattr(pair[0], channel) - getattr(pair[1], channel)
+                white = QUANTISATION
+                fed_back = max(float(np.mean(difference**2)) - white, 0.0) * _correlation_time(difference)
+                sigma = math.sqrt(self.sigma[c] ** 2 + fed_back)
+                self.scale[r][c] = np.sqrt(self.share[r][c]) / sigma
+
+    def _start_angle(self, run: Run) -> float:
+        return float(np.mean(run.encoder[: max(min(rest_rows(run), 100), 1)])) * self.rig.angle_per_count
+
+    def _offset(self, run: Run) -> float:
+        return float(np.mean(run.accel[: max(rest_rows(run), 1)])) if self.has_accel else 0.0
+
+    @property
+    def channels(self) -> int:
+        """1 without an accelerometer, else 2."""
+        return 2 if self.has_accel else 1
+
+    def layout(self, hypothesis: Hypothesis, guess: dict[int, dict[str, float]]) -> Layout:
+        """Parameters of a hypothesis; ``guess`` gives each effect's sizes, the centres of their priors."""
+        covariance = self.rig.log_covariance(self.paths)
+        for path in hypothesis.constants:
+            i = self.paths.index(path)
+            covariance[i, i] += WIDE**2
+        root = np.linalg.cholesky(covariance)
+        mean, precision = [0.0] * len(self.paths), [1.0] * len(self.paths)
+        coordinates = []
+        shifted = False
+        gaps = 0
+        for k, (cls, _at) in enumerate(hypothesis.effects):
+            for name, info in cls.parameters().items():
+                value = guess[k][name]
+                log = info.positive and not info.periodic
+                scale = 1.0 if info.periodic else max(abs(value), 1e-12)
+                coordinate = Coordinate(k, name, info, log, scale)
+                coordinates.append(coordinate)
+                mean.append(coordinate.to_x(value))
+                precision.append(WIDE**-2 if log else (0.1 if info.periodic else 0.25))
+            shifted |= cls.absolute is not None
+            gaps += cls.stage.value == "gap"
+        zeros = max(self.zero_group) if shifted else 0
+        gap_places = len(self.runs) if gaps else 0
+        mean += [0.0] * (zeros + gap_places)
+        precision += [0.25] * zeros + [1.0] * gap_places
+        return Layout(hypothesis, self.paths, root, coordinates, zeros, gap_places, np.array(mean),
+                      np.array(precision), [cls for cls, _ in hypothesis.effects])
+
+    def rig_of(self, layout: Layout, x: np.ndarray) -> Rig:
+        """The rig that a parameter vector describes."""
+        n = len(self.paths)
+        nominal = self.rig.constants()
+        logs = layout.root @ x[:n]
+        rig = self.rig.with_constants({p: nominal[p] * math.exp(v) for p, v in zip(self.paths, logs, strict=True)})
+        values: list[dict[str, float]] = [{} for _ in layout.hypothesis.effects]
+        for coordinate, value in zip(layout.coordinates, x[n:], strict=False):
+            values[coordinate.effect][coordinate.name] = coordinate.to_value(value)
+        effects = [cls.model_construct(at=at, **_ordered(cls, v))
+                   for (cls, at), v in zip(layout.hypothesis.effects, values, strict=True)]
+        return rig.with_effects((*self.rig.effects, *effects)) if effects else rig
+
+    def simulate_run(self, model: Model, layout: Layout, x: np.ndarray, index: int, start: float,
+                     offset: float, rounding: bool = False) -> Simulation:
+        """One run on a built rig with its nuisances."""
+        extra = len(self.paths) + len(layout.coordinates)
+        group = self.zero_group[index]
+        zero = x[extra + group - 1] if layout.zeros and group else 0.0
+        place = math.tanh(x[extra + layout.zeros + index]) if layout.gap_places else 0.0
+        return simulate_model(model, self.runs[index], rounding=rounding, start_angle=start, accel_offset=offset,
+                              zero=zero, gap_place=place)
+
+    def outputs(self, layout: Layout, x: np.ndarray, start: np.ndarray, offset: np.ndarray,
+                only: Sequence[int] | None = None) -> list[np.ndarray]:
+        """Simulated channels per run, each (channels, n), scaled."""
+        model = build(self.rig_of(layout, x), **FAST)
+        found = []
+        for i in range(len(self.runs)) if only is None else only:
+            simulation = self.simulate_run(model, layout, x, i, start[i], offset[i])
+            columns = (simulation.encoder, simulation.accel)[: self.channels]
+            found.append(np.stack(columns) * self.scale[i])
+        return found
+
+
+def _correlation_time(values: np.ndarray, longest: int = 50) -> float:
+    """Integrated autocorrelation time, samples, at least 1."""
+    centred = values - values.mean()
+    power = float(centred @ centred)
+    if power <= 0.0:
+        return 1.0
+    total = 1.0
+    for lag in range(1, min(longest, len(values) - 1)):
+        rho = float(centred[lag:] @ centred[:-lag]) / power
+        if rho <= 0.0:
+            break
+        total += 2.0 * rho
+    return total
+
+
+def _ordered(cls: type[Effect], values: dict[str, float]) -> dict[str, float]:
+    """Keep what a class demands of its parameters together (static_torque >= coulomb_torque)."""
+    if "static_torque" in values:
+        values["static_torque"] = max(values["static_torque"], values["coulomb_torque"])
+    return values

@@ -1,0 +1,297 @@
+"""Searching the causes: screen all, fit the promising, climb one cause at a time, look back.
+
+Screening linearises about the parent's fit: with D what a candidate of a guessed size changes in the outputs, and the
+parent's own parameters and nuisances eliminated, the fall of chi^2 is b^2/s at the size a = b/s, s = D'D and b = D'e
+after elimination.  The most promising are fitted, quickly first, then exactly.  Every fitted set of causes is kept;
+probabilities come from all of them together (see posterior).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from station.diagnose.candidates import Candidate, candidates
+from station.diagnose.estimate import Fit, eliminate, fit
+from station.diagnose.problem import Hypothesis, Layout, Problem
+
+LOG_PRIOR = -7.0
+"""Log prior odds that any one further cause is present: about one chance in a thousand each."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How far a search goes."""
+
+    fits: int
+    """Candidates fitted on each rung."""
+    exact: int
+    """Of these, how many are fitted to the end."""
+    rungs: int
+    """Most causes in one hypothesis."""
+
+
+EFFORTS = {"quick": Effort(8, 2, 2), "full": Effort(14, 4, 3)}
+
+
+@dataclass
+class Promise:
+    """What screening says of a candidate."""
+
+    candidate: Candidate
+    guess: dict[str, float]
+    gain: float
+    """Predicted fall of chi^2."""
+    size: float
+    """Multiple of the guess that gives it."""
+    information: float
+    """chi^2 that the guess itself would make visible."""
+
+
+@dataclass
+class Search:
+    """The state of a search: all fits by their set of causes."""
+
+    problem: Problem
+    effort: Effort
+    progress: Callable[[str, float], None] = lambda text, share: None
+    fits: dict[frozenset[tuple[str, str]], Fit] = field(default_factory=dict)
+    promises: list[Promise] = field(default_factory=list)
+    """Of the first rung."""
+
+    def temperature(self) -> float:
+        """Scale of what the best hypothesis leaves, 1 where it reaches the noise."""
+        return max(1.0, min(f.chi2 for f in self.fits.values()) / float(self.problem.samples.sum()))
+
+    def score(self, found: Fit, temperature: float) -> float:
+        """Log posterior of a set of causes, up to a constant."""
+        causes = len(found.layout.hypothesis.keys())
+        return found.log_evidence(temperature) + LOG_PRIOR * causes
+
+    def best(self) -> Fit:
+        """The set of causes with the highest posterior."""
+        temperature = self.temperature()
+        return max(self.fits.values(), key=lambda f: self.score(f, temperature))
+
+    def keep(self, found: Fit) -> None:
+        """Remember a fit; of the same causes the better one."""
+        key = frozenset(found.layout.hypothesis.keys())
+        if key not in self.fits or found.objective < self.fits[key].objective:
+            self.fits[key] = found
+
+
+def base_fit(problem: Problem) -> Fit:
+    """The best rig without further causes; sets the noise that rounding feeds back on the way."""
+    layout = problem.layout(Hypothesis(), {})
+    found = fit(problem, layout, layout.prior_mean.copy(), exact_end=False)
+    problem.calibrate(layout, found.x, found.start, found.offset)
+    return fit(problem, layout, found.x, found.start, found.offset)
+
+
+def child_layout(problem: Problem, parent: Fit, candidate: Candidate, guess: dict[str, float],
+                 ) -> tuple[Layout, np.ndarray, list[np.ndarray]]:
+    """Layout, start and derivatives of a parent's hypothesis with one more cause."""
+    base = parent.layout
+    hypothesis = base.hypothesis + candidate.hypothesis
+    sizes = {k: {} for k in range(len(hypothesis.effects))}
+    n = len(base.paths)
+    for coordinate, value in zip(base.coordinates, parent.x[n:], strict=False):
+        sizes[coordinate.effect][coordinate.name] = coordinate.to_value(value)
+    if candidate.effect is not None:
+        sizes[len(hypothesis.effects) - 1] = guess
+    layout = problem.layout(hypothesis, sizes)
+    inherited = len(base.coordinates)
+    layout.prior_mean[n: n + inherited] = [new.to_x(old.to_value(mean)) for new, old, mean in zip(
+        layout.coordinates, base.coordinates, base.prior_mean[n:], strict=False)]
+    x = layout.prior_mean.copy()
+    x[:n] = np.linalg.solve(layout.root, parent.logs)
+    x[n: n + inherited] = [new.to_x(old.to_value(value)) for new, old, value in zip(
+        layout.coordinates, base.coordinates, parent.x[n:], strict=False)]
+    tail = base.zeros + base.gap_places
+    if tail and (base.zeros, base.gap_places) == (layout.zeros, layout.gap_places):
+        x[-tail:] = parent.x[-tail:]
+    transform = np.linalg.solve(base.root, layout.root)
+    count = base.size
+    jacobian = [np.concatenate([transform.T @ j[:n], np.zeros((layout.size - n, j.shape[1])), j[count:]])
+                for j in parent.jacobian]
+    return layout, x, jacobian
+
+
+def screen(problem: Problem, parent: Fit, pool: list[Candidate]) -> list[Promise]:
+    """Predicted gains of all candidates at their guesses on top of a fitted hypothesis, best first."""
+    count = parent.layout.size
+    normal, gradient, _ = eliminate(problem, parent.start, parent.offset, parent.residuals, parent.jacobian, count)
+    scale = max(parent.chi2 / float(problem.samples.sum()), 1.0)
+    matrix = normal.sum(axis=0) / scale + np.diag(parent.layout.prior_precision)
+    force = gradient.sum(axis=0) / scale - parent.layout.prior_precision * (parent.x - parent.layout.prior_mean)
+    settled = np.linalg.solve(matrix, force)
+
+    def promise(task: tuple[Candidate, dict[str, float]]) -> Promise:
+        candidate, guess = task
+        layout, x, _ = child_layout(problem, parent, candidate, guess)
+        outputs = problem.outputs(layout, x, parent.start, parent.offset)
+        change = [(new - old).ravel() for new, old in zip(outputs, parent.outputs, strict=True)]
+        if not all(np.all(np.isfinite(c)) for c in change):
+            return Promise(candidate, guess, 0.0, 1.0, 0.0)
+        stacked = [np.concatenate([j[:count], c[None, :], j[count:]])
+                   for j, c in zip(parent.jacobian, change, strict=True)]
+        own, pull, _ = eliminate(problem, parent.start, parent.offset, parent.residuals, stacked, count + 1)
+        own, pull = own.sum(axis=0) / scale, pull.sum(axis=0) / scale
+        cross = own[:count, count]
+        s = float(own[count, count] - cross @ np.linalg.solve(matrix, cross))
+        b = float(pull[count] - cross @ settled)
+        if s <= 1e-9:
+            return Promise(candidate, guess, 0.0, 1.0, max(s, 0.0))
+        size = b / s
+        gain = b * b / s if size > 0.0 else 0.0
+        if size > 3.0:
+            gain = s * (2.0 * 3.0 * size - 9.0)
+        return Promise(candidate, guess, gain, size, s)
+
+    tasks = [(c, g) for c in pool if c.effect is not None for g in c.guesses]
+    found = list(problem.pool.map(promise, tasks))
+    for candidate in pool:
+        if candidate.effect is None:
+            found.append(_freed(problem, parent, candidate, normal.sum(axis=0) / scale, gradient.sum(axis=0) / scale))
+    return sorted(found, key=lambda p: -p.gain)
+
+
+def _freed(problem: Problem, parent: Fit, candidate: Candidate, normal: np.ndarray, gradient: np.ndarray) -> Promise:
+    """Predicted gain of setting one constant free: only its prior changes."""
+    base, n = parent.layout, len(parent.layout.paths)
+    layout = problem.layout(base.hypothesis + candidate.hypothesis, _sizes(base, parent.x))
+    transform = np.eye(base.size)
+    transform[:n, :n] = np.linalg.solve(base.root, layout.root)
+    a, g = transform.T @ normal @ transform, transform.T @ gradient
+    x = parent.x.copy()
+    x[:n] = np.linalg.solve(layout.root, parent.logs)
+    prior, mean = layout.prior_precision, base.prior_mean
+
+    def cost(precision: np.ndarray, matrix: np.ndarray, slope: np.ndarray, at: np.ndarray) -> float:
+        force = slope - precision * (at - mean)
+        step = np.linalg.solve(matrix + np.diag(precision), force)
+        return float(precision @ (at - mean) ** 2 - force @ step)
+
+    before = cost(base.prior_precision, normal, gradient, parent.x)
+    return Promise(candidate, {}, max(before - cost(prior, a, g, x), 0.0), 1.0, float(a.trace()))
+
+
+def _sizes(layout: Layout, x: np.ndarray) -> dict[int, dict[str, float]]:
+    sizes: dict[int, dict[str, float]] = {k: {} for k in range(len(layout.hypothesis.effects))}
+    for coordinate, value in zip(layout.coordinates, x[len(layout.paths):], strict=False):
+        sizes[coordinate.effect][coordinate.name] = coordinate.to_value(value)
+    return sizes
+
+
+def _started(promise: Promise) -> dict[str, float]:
+    """The guess, moved to the size that screening found best, within reason and bounds."""
+    if promise.candidate.effect is None:
+        return {}
+    factor = min(max(promise.size, 0.2), 5.0)
+    moved = {}
+    infos = promise.candidate.effect.parameters()
+    for index, (name, value) in enumerate(promise.guess.items()):
+        info = infos[name]
+        if info.neutral is None or not math.isfinite(info.neutral) or info.periodic:
+            moved[name] = value
+            continue
+        scaled = info.neutral + factor * (value - info.neutral)
+        moved[name] = min(max(scaled, info.low), info.high) if index >= 0 else value
+    return moved
+
+
+def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float, float]) -> Fit:
+    """Fit the most promising further causes on top of a parent; returns the best child."""
+    problem, effort = search.problem, search.effort
+    promises = screen(problem, parent, pool)
+    if not search.promises:
+        search.promises = promises
+    chosen, per_key = [], {}
+    for promise in promises:
+        key = promise.candidate.key
+        starts = per_key.setdefault(key, [])
+        allowed = 2 if promise.candidate.effect is not None and len(promise.candidate.guesses) > 4 else 1
+        if len(starts) < allowed and promise.gain > 4.0 and len(per_key) <= effort.fits:
+            starts.append(promise)
+            chosen.append(promise)
+
+    def quick(promise: Promise) -> Fit | None:
+        layout, x, jacobian = child_layout(problem, parent, promise.candidate, _started(promise))
+        try:
+            return fit(problem, layout, x, parent.start, parent.offset, jacobian=jacobian, parallel=False,
+                       exact_end=False, iterations=10, tolerance=0.5)
+        except (np.linalg.LinAlgError, ArithmeticError):
+            return None
+
+    fitted = []
+    for index, found in enumerate(problem.pool.map(quick, chosen)):
+        if found is not None:
+            fitted.append(found)
+        text = f"tried {chosen[index].candidate.hypothesis.label}"
+        search.progress(text, share[0] + (share[1] - share[0]) * 0.6 * (index + 1) / len(chosen))
+    fitted.sort(key=lambda f: f.objective)
+    for found in fitted:
+        search.keep(found)
+    exact = []
+    seen = set()
+    for found in fitted:
+        key = frozenset(found.layout.hypothesis.keys())
+        if key not in seen and len(seen) < effort.exact:
+            seen.add(key)
+            exact.append(found)
+    best = parent
+    for index, found in enumerate(exact):
+        better = fit(problem, found.layout, found.x, found.start, found.offset, jacobian=found.jacobian,
+                     iterations=12)
+        search.keep(better)
+        search.progress(f"fitted {found.layout.hypothesis.label}",
+                        share[0] + (share[1] - share[0]) * (0.6 + 0.4 * (index + 1) / len(exact)))
+    temperature = search.temperature()
+    for found in search.fits.values():
+        keys = set(found.layout.hypothesis.keys())
+        if set(parent.layout.hypothesis.keys()) < keys and search.score(found, temperature) > search.score(best, temperature):
+            best = found
+    return best
+
+
+def look_back(search: Search, found: Fit, pool: list[Candidate]) -> None:
+    """Fit every set with one cause less, so that each cause must hold against its own absence."""
+    hypothesis = found.layout.hypothesis
+    by_key = {c.key: c for c in pool}
+    for key in hypothesis.keys():
+        rest = [k for k in hypothesis.keys() if k != key]
+        if frozenset(rest) in search.fits or not rest:
+            continue
+        parent = search.fits[frozenset()]
+        for other in rest:
+            sizes = _sizes(found.layout, found.x)
+            names = [(cls.name, at) for cls, at in hypothesis.effects]
+            guess = sizes[names.index(other)] if other in names else {}
+            layout, x, jacobian = child_layout(search.problem, parent, by_key[other], guess)
+            parent = fit(search.problem, layout, x, parent.start, parent.offset, jacobian=jacobian, iterations=12)
+        search.keep(parent)
+
+
+def explore(problem: Problem, effort: Effort, progress: Callable[[str, float], None]) -> Search:
+    """The whole ladder; stops where the next rung buys nothing."""
+    search = Search(problem, effort, progress)
+    progress("fitting the nominal rig's constants", 0.05)
+    parent = base_fit(problem)
+    search.keep(parent)
+    pool = candidates(problem.rig)
+    for rung in range(effort.rungs):
+        held = set(parent.layout.hypothesis.keys())
+        share = (0.1 + 0.8 * rung / effort.rungs, 0.1 + 0.8 * (rung + 1) / effort.rungs)
+        child = climb(search, parent, [c for c in pool if c.key not in held], share)
+        if child is parent:
+            break
+        parent = child
+        if rung:
+            look_back(search, parent, pool)
+            parent = search.best()
+            if len(parent.layout.hypothesis.keys()) <= rung:
+                break
+    return search
