@@ -125,7 +125,8 @@ def _judge(rig: Rig, encoder: np.ndarray, accel: np.ndarray, sigma: float, expec
                      "or give motor.gain the other sign")
     elif seen_accel is not None and seen_accel > 0:
         motor, encoder_sign = 1, -1
-        words.append("the encoder counts the wrong way: swap its channels A and B")
+        words.append("the encoder counts the wrong way: swap its channels A and B "
+                     "(or motor and accelerometer both are: these pulses cannot tell)")
     else:
         motor, encoder_sign = 0, -1
         words.append("motor and encoder disagree: swap the motor's leads or the encoder's channels A and B")
