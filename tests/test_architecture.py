@@ -68,5 +68,6 @@ def test_every_file_that_is_not_python_travels_with_the_package():
     data = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]["package-data"]
     for package, folder in (("station", ROOT / "station"), ("station.firmware", ROOT / "firmware")):
         packed = {path for pattern in data[package] for path in folder.glob(pattern)}
-        there = {path for path in folder.rglob("*") if path.is_file() and path.suffix not in (".py", ".pyc", ".nbi", ".nbc")}
+        made = {".py", ".pyc", ".nbi", ".nbc"}
+        there = {path for path in folder.rglob("*") if path.is_file() and path.suffix not in made}
         assert there - packed == set(), package

@@ -5,20 +5,21 @@ from __future__ import annotations
 import shutil
 import tempfile
 import time
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 from urllib.parse import urlencode
 
 import typer
 
 from station.cli.options import command
-from station.cli.terminal import console, note, number, progress, row, say, table, write_text
+from station.cli.terminal import console, number, progress, quantity, row, say, table, write_text
 from station.errors import WorkError
 
 if TYPE_CHECKING:
     import numpy as np
 
-    from station.diagnose.result import DiagnosisResult
+    from station.diagnose.result import DiagnosisResult, RunComparison
     from station.model.effects import Effect
     from station.rig import Rig
     from station.runs.run import Run
@@ -49,14 +50,19 @@ def demo(
         "Folder for runs, rig, diagnosis, report and recording."))] = Path("demo"),
     realtime: Annotated[bool, typer.Option("--realtime", help=(
         "Pace the tests by the clock, as a real rig does; without it they run as fast as they can."))] = False,
+    effort: Annotated[Literal["quick", "full"], typer.Option("--effort", help="As in station diagnose.")] = "full",
 ) -> None:
     """Find a hidden effect on a simulated rig: test, compare, diagnose, extend the model, then open the seal."""
     import secrets
 
     import numpy as np
 
+    from station.cli.diagnosis import save
     from station.cli.hidden import Sealed, draw
+    from station.diagnose.diagnose import diagnose
     from station.rig import load_rig
+    from station.view.recording import write_recording
+    from station.view.terminal import print_diagnosis
 
     begun = time.perf_counter()
     seed = secrets.randbelow(1_000_000) if seed is None else seed
@@ -67,27 +73,29 @@ def demo(
         say(f"1. A hidden rig, seed {seed}: {NOMINAL} with constants drawn within their uncertainty, and one effect")
         with progress("compiling the stepper, drawing the rig"):
             sealed = Sealed.write(draw(nominal, _planned(nominal), NOISE, rng), Path(hiding) / "hidden_rig.toml")
-        say(f"   drawn from the catalogue. Sealed; its file has SHA-256 {sealed.sha256[:16]}...")
+        say(f"   drawn from the catalogue. Sealed; the SHA-256 of its file is\n   {sealed.sha256}")
         say()
-        say("2. Tests through the serial protocol, the firmware core answering" + (", in real time" if realtime else ""))
+        say(f"2. Tests over the serial protocol, the firmware core answering{', in real time' if realtime else ''}")
         runs = _measure(nominal, sealed.path, folder / "runs", rng, realtime)
         apart = runs.pop(APART[0])
         say()
-        say(f"3. Compared with the nominal {NOMINAL} (error in % of the signal's spread), and diagnosed")
+        say("3. Compared with the nominal rig and diagnosed, by five of these runs and the rig file alone")
         with progress("diagnosing") as update:
-            result = _diagnose(nominal, list(runs.values()), update)
-        _say_diagnosis(result)
-        _save(result, runs, apart, folder)
+            result = diagnose(nominal, list(runs.values()), effort, progress=lambda text, share: update(share, text))
+        save(result, json=folder / "diagnosis.json", report=folder / "report.html", rig=folder / "extended_rig.toml")
+        print_diagnosis(result, console())
         say()
         say("4. The gain on a run kept apart, which no fit has seen")
-        _say_gain(nominal, result, apart)
+        comparison = _gain(result, apart)
+        write_recording(folder / "recording.rrd", [*result.comparisons, comparison], nominal)
         say()
         say("5. The seal is opened")
         hidden = sealed.open()
         shutil.copyfile(sealed.path, folder / "hidden_rig.toml")
-    _say_truth(hidden.effects[0], result)
+    for line in told(hidden.effects[0], result):
+        say(line)
     say()
-    say(f"{time.perf_counter() - begun:.0f} s. Look at {folder / 'report.html'}; repeat with `station demo --seed {seed}`.")
+    say(f"{time.perf_counter() - begun:.0f} s. Look at {folder / 'report.html'}; repeat this draw by --seed {seed}.")
 
 
 def _fresh(folder: Path) -> Path:
@@ -125,7 +133,7 @@ def _measure(nominal: Rig, hidden: Path, folder: Path, rng: np.random.Generator,
     from station.cli.controllers import controller_spec
     from station.cli.run import perform
     from station.device.port import open_port
-    from station.runs import load_run
+    from station.runs import McapLogWriter, load_run
 
     shown = table("", "   run", "controller", "test", "counts", "samples", "lost, late")
     runs = {}
@@ -134,8 +142,8 @@ def _measure(nominal: Rig, hidden: Path, folder: Path, rng: np.random.Generator,
                    "seed": int(rng.integers(2**31)), "speed": int(realtime)}
         out = folder / f"{name}.mcap"
         with open_port(f"sim://hidden?{urlencode(options)}") as line:
-            result = perform(line, nominal, controller_spec(controller, nominal.sample_rate), test, out,
-                             accel_zero=0.0, relative=False,
+            result = perform(line, nominal, controller_spec(controller, nominal.sample_rate), test,
+                             partial(McapLogWriter, out), accel_zero=0.0, relative=False,
                              metadata={"test": test, "port": "sim://(sealed)", "zero_id": "demo"})
         counts = result.counts
         row(shown, f"   {name}", controller, test["kind"], number(test["amplitude"]), counts.samples,
@@ -145,28 +153,51 @@ def _measure(nominal: Rig, hidden: Path, folder: Path, rng: np.random.Generator,
     return runs
 
 
-def _diagnose(nominal: Rig, runs: list[Run], update: Any) -> DiagnosisResult:
-    from station.diagnose import diagnose
+def _gain(result: DiagnosisResult, apart: Run) -> RunComparison:
+    """Say the errors on the run kept apart: by the nominal rig, the re-fitted one, the extended one."""
+    from station.cli.models import simulations
+    from station.diagnose.measures import nrmse
+    from station.diagnose.result import RunComparison
 
-    return diagnose(nominal, runs, progress=update)
-
-
-def _say_diagnosis(result: DiagnosisResult) -> None:
-    from station.cli.diagnosis import say_diagnosis
-
-    say_diagnosis(result)
-
-
-def _save(result: DiagnosisResult, runs: dict[str, Run], apart: Run, folder: Path) -> None:
-    from station.cli.diagnosis import save_diagnosis
-
-    save_diagnosis(result, json=folder / "diagnosis.json", report=folder / "report.html",
-                   save_rig=folder / "extended_rig.toml")
+    before, refit, after = (simulations(rig, [apart])[0]
+                            for rig in (result.rig, result.refit_rig, result.extended_rig))
+    shown = table("", f"   error on {apart.name}", "nominal", "re-fitted", "extended")
+    for channel, name in (("encoder", "angle"), ("accel", "acceleration")):
+        errors = (nrmse(getattr(apart, channel), getattr(made, channel)) for made in (before, refit, after))
+        row(shown, f"   {name}", *(f"{100.0 * error:.1f} %" for error in errors))
+    console().print(shown)
+    return RunComparison(apart, before, refit, after, held_out=True)
 
 
-def _say_gain(nominal: Rig, result: DiagnosisResult, apart: Run) -> None:
-    """Errors on the run kept apart: nominal, re-fitted, extended."""
+def told(effect: Effect, result: DiagnosisResult) -> list[str]:
+    """What was hidden, and whether the diagnosis was right: wrong as plainly as right."""
+    from station.view.wording import cause_title
 
-
-def _say_truth(effect: Effect, result: DiagnosisResult) -> None:
-    """What was hidden, and whether the diagnosis was right; wrong is said as plainly as right."""
+    hidden, truth = cause_title(effect.name, effect.at), effect.values()
+    units = {name: info.unit for name, info in effect.parameters().items()}
+    lines = [f"   Hidden was: {hidden}, "
+             + ", ".join(f"{name.replace('_', ' ')} {quantity(value, units[name])}" for name, value in truth.items())]
+    diagnosis = result.diagnosis
+    named = [(cause.effect, cause.at) for cause in diagnosis.causes]
+    rivals = [(rival.effect, rival.at) for cause in diagnosis.causes for rival in cause.rivals]
+    place = (effect.name, effect.at)
+    if place in named and named[0] == place and len(named) == 1:
+        lines.append("   RIGHT: that is what was named, and nothing else.")
+    elif place in named:
+        others = ", ".join(cause_title(*other) for other in named if other != place)
+        lines.append(f"   PARTLY RIGHT: it was named, but so was what is not there: {others}.")
+    elif place in rivals:
+        lines.append(f"   WRONG: {cause_title(*named[0])} was named; what was hidden is listed as a rival only.")
+    elif named:
+        lines.append(f"   WRONG: named was {', '.join(cause_title(*other) for other in named)}.")
+    else:
+        lines.append(f"   WRONG: nothing was named (verdict: {diagnosis.verdict.replace('_', ' ')}).")
+    for cause in diagnosis.causes:
+        if (cause.effect, cause.at) == place:
+            for name, found in cause.parameters.items():
+                above, below = truth[name] >= found.low, truth[name] <= found.high
+                inside = (above and below) if found.low <= found.high else (above or below)     # an angle may wrap
+                lines.append(f"   {name.replace('_', ' ')}: {quantity(truth[name], found.unit)} is "
+                             f"{'inside' if inside else 'OUTSIDE'} the 95 % interval {number(found.low, 4)} to "
+                             f"{number(found.high, 4)}.")
+    return lines

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from station.cli.options import Json, RigName, RunFiles, command, load_runs, need_folder
-from station.cli.terminal import console, number, progress, row, say, table, write_json, write_text
+from station.cli.terminal import console, progress, write_json, write_text
 
 if TYPE_CHECKING:
     from station.diagnose.result import DiagnosisResult
@@ -28,8 +28,9 @@ def diagnose(
         "quick looks at fewer combinations."))] = "full",
 ) -> None:
     """Name what the simulation gets wrong on these runs, how sure that is, and what to test next."""
-    from station.diagnose import diagnose as find
+    from station.diagnose.diagnose import diagnose as find
     from station.rig import load_rig
+    from station.view.terminal import print_diagnosis
 
     for path in (json, report, save_rig):
         need_folder(path)
@@ -39,7 +40,7 @@ def diagnose(
         result = find(nominal, loaded, effort=effort, progress=lambda text, share: update(share, text))
     save(result, json=json, report=report, rig=save_rig)
     if json != "-":
-        say_result(result)
+        print_diagnosis(result, console())
 
 
 def save(result: DiagnosisResult, *, json: Path | str | None, report: Path | None, rig: Path | None) -> None:
@@ -52,37 +53,3 @@ def save(result: DiagnosisResult, *, json: Path | str | None, report: Path | Non
         from station.view.report import write_report
 
         write_report(result, report)
-
-
-def say_result(result: DiagnosisResult) -> None:
-    """The diagnosis for a person: the verdict, what is wrong, the causes, the gain, what next."""
-    from station.view import wording
-
-    found = result.diagnosis
-    say(wording.verdict_sentence(found, result.rig))
-    if found.wrong:
-        shown = table("Wrong", "run", "what", "simulated", "measured")
-        for item in found.wrong[:8]:
-            what, simulated, measured = wording.measure(item)
-            row(shown, item.run, what, simulated, measured)
-        console().print(shown)
-    if found.causes:
-        shown = table("Causes", "cause", "probability", "parameter", "value", "95 % interval", "rivals")
-        for cause in found.causes:
-            title, sure = wording.cause_title(cause.effect, cause.at), wording.probability(cause.probability)
-            rivals = ", ".join(wording.cause_title(rival.effect, rival.at) for rival in cause.rivals[:2])
-            for name, value in cause.parameters.items():
-                row(shown, title, sure, name.replace("_", " "), f"{number(value.value)} {value.unit}",
-                    f"{number(value.low)} to {number(value.high)}", rivals)
-                title = sure = rivals = ""
-        console().print(shown)
-    gain = wording.gain_rows(found)
-    if gain:
-        words = ", ".join(f"{name} {wording.percent(channel.nrmse_before)} to {wording.percent(channel.nrmse_after)}"
-                          for name, channel in gain)
-        say(f"Error on runs left out of the fit: {words}"
-            + ("" if found.gain.explained_fraction is None
-               else f"; {wording.percent(found.gain.explained_fraction)} of what can be explained"))
-    if found.next_experiment is not None:
-        test = found.next_experiment.test
-        say(f"Next: {wording.test_words(test) + ': ' if test else ''}{found.next_experiment.why}")

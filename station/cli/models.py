@@ -1,17 +1,21 @@
-"""The model at work: simulate a run's test, compare runs with a rig."""
+"""The model at work: simulate a run's test, compare runs with a rig, fit its constants, draw its responses."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from station.cli.options import Json, Out, Overwrite, RigName, RunFile, RunFiles, command, load_runs, need_folder
-from station.cli.terminal import console, note, number, progress, row, say, table, write_json
+from station.cli.options import Json, Out, Overwrite, RigName, RunFiles, command, load_runs, need_folder
+from station.cli.terminal import console, number, progress, row, say, table, write_json, write_text
+from station.errors import UsageError
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
+    from station.model.simulate import Simulation
     from station.rig import Rig
     from station.runs.run import Run
 
@@ -47,3 +51,101 @@ def simulate(rig: RigName, like: Annotated[Path, typer.Option("--like", metavar=
     made = simulated_run(model, run, out.stem)
     export_run(made, out, overwrite=overwrite)
     say(f"{out}: {len(made)} rows, the test of {like} on {model.name}")
+
+
+@command(app, "compare", PANEL, "station compare --rig sflr step.mcap pulse.mcap")
+def compare(runs: RunFiles, rig: RigName, json: Json = None) -> None:
+    """Simulate the tests of runs on a rig, and measure how far simulation and measurement are apart."""
+    from station.diagnose.measures import measures
+    from station.rig import load_rig
+
+    need_folder(json)
+    model, loaded = load_rig(rig), load_runs(runs)
+    found = [measures(run, made) for run, made in zip(loaded, simulations(model, loaded), strict=True)]
+    if json:
+        write_json(json, {"runs": found})
+        if json == "-":
+            return
+    console().print(comparison_table(model.name, found))
+
+
+def simulations(rig: Rig, runs: list[Run]) -> list[Simulation]:
+    """The runs as the rig would have done them, starting angle and accelerometer offset estimated per run."""
+    import numpy as np
+
+    from station.diagnose.heldout import settle, simulate_all
+    from station.diagnose.problem import Hypothesis, Problem
+
+    problem = Problem(rig, runs)
+    layout = problem.layout(Hypothesis(), {})
+    still = np.zeros(layout.size)
+    start, offset = settle(problem, layout, still, problem.start, problem.offset)
+    return simulate_all(problem, layout, still, start, offset)
+
+
+def comparison_table(rig: str, found: list[dict[str, Any]]) -> Table:
+    """Measures of each run, measured against simulated; the error is nrmse, in percent of the signal's spread."""
+    shown = table(f"Error in % of the signal's spread; measured and simulated by {rig}", "run", "angle", "acceleration",
+                  "overshoot measured", "simulated", "settling measured", "simulated")
+    for item in found:
+        error = [number(100.0 * item[channel]["nrmse"]) + " %" if channel in item else "-"
+                 for channel in ("encoder", "accel")]
+        step = []
+        if item["measured"]:
+            step = [f"{number(item[side]['overshoot_percent'])} %" for side in ("measured", "simulated")]
+            step += [f"{number(item[side]['settling_time'], none='never')} s".replace("never s", "never")
+                     for side in ("measured", "simulated")]
+        row(shown, item["run"], *error, *(step or ["-"] * 4))
+    return shown
+
+
+@command(app, "fit", PANEL, "station fit --rig sflr step.mcap sweep.mcap --save-rig fitted.toml")
+def fit(
+    runs: RunFiles, rig: RigName,
+    save_rig: Annotated[Path | None, typer.Option("--save-rig", metavar="FILE", help="Write the fitted rig.")] = None,
+    hold: Annotated[list[str] | None, typer.Option("--hold", metavar="TABLE.KEY", help=(
+        "Constant that stays as it is; may be repeated. By default beam.mass_per_length: one common factor of all "
+        "torques and inertias is invisible."))] = None,
+    domain: Annotated[Literal["time", "frequency", "both"], typer.Option("--domain", help=(
+        "Compare simulations with the runs, or frequency responses with the model's."))] = "time",
+    starts: Annotated[int, typer.Option("--starts", min=1, max=100, help="Starting points of the search.")] = 4,
+    json: Json = None,
+) -> None:
+    """Fit a rig's constants to runs within their stated uncertainty, and say what the runs cannot determine."""
+    from station.fit import fit as fit_rig
+    from station.rig import load_rig
+
+    for path in (save_rig, json):
+        need_folder(path)
+    model, loaded = load_rig(rig), load_runs(runs)
+    with progress("fitting") as update:
+        found = fit_rig(model, loaded, hold, domain=domain, starts=starts, progress=lambda text: update(None, text))
+    if save_rig is not None:
+        write_text(save_rig, found.rig.to_toml())
+    if json is not None:
+        write_json(json, {
+            "constants": {c.path: {"nominal": c.nominal, "value": c.value, "low": c.low, "high": c.high,
+                                   "determined": c.determined, "at_bound": c.at_bound} for c in found.constants},
+            "held": list(found.held), "flat": [str(direction) for direction in found.flat],
+            "warnings": list(found.warnings), "chi2": found.chi2, "chi2_nominal": found.chi2_nominal})
+    if json != "-":
+        say(found.table())
+
+
+@command(app, "bode", PANEL, "station bode --rig sflr --run sweep.mcap --out bode.svg")
+def bode(
+    rig: RigName,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Figure to write: .png, .svg or .pdf.")],
+    run: Annotated[Path | None, typer.Option("--run", metavar="RUN", help=(
+        "Run whose measured response and coherence are drawn as well; a sweep is best."))] = None,
+) -> None:
+    """Draw the frequency responses of a rig: finite elements, continuous beam, and a run's if one is given."""
+    from station.rig import load_rig
+    from station.runs import load_run
+    from station.view.bode import bode_figure
+
+    need_folder(out)
+    if out.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise UsageError(f"--out {out}: a figure's name ends in .png, .svg or .pdf")
+    bode_figure(load_rig(rig), None if run is None else load_run(run)).savefig(out)
+    say(f"{out}: {rig}" + ("" if run is None else f" and {run}"))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,7 +16,9 @@ from station.errors import StationError, UsageError
 if TYPE_CHECKING:
     from station.device.port import Port as SerialPort
     from station.loop.run_test import LoopResult
+    from station.loop.sink import LogSink
     from station.rig import Rig
+    from station.runs.run import RunMetadata
 
 app = typer.Typer()
 group = typer.Typer(no_args_is_help=False)
@@ -55,23 +56,37 @@ Controller = Annotated[str | None, typer.Option("--controller", metavar="NAME", 
 Gain = Annotated[float | None, typer.Option("--gain", help="The controller's gain in place of its own.")]
 Zero = Annotated[float | None, typer.Option("--zero", help="The lead's zero, rad/s, in place of its own.")]
 Pole = Annotated[float | None, typer.Option("--pole", help="The lead's pole, rad/s, in place of its own.")]
+View = Annotated[bool, typer.Option("--view", help="Follow the test in Rerun's viewer, on this machine alone.")]
 Log = Annotated[Path, typer.Option("--out", metavar="FILE", help="Where the run is logged (.mcap).")]
 
 
-def perform(line: SerialPort, rig: Rig, controller: dict[str, Any], test: dict[str, Any], out: Path,
-            overwrite: bool = False, **settings: Any) -> LoopResult:
-    """Run one test on the device at an open port and log it to ``out``; ``settings`` go to ``run_test``."""
+def perform(line: SerialPort, rig: Rig, controller: dict[str, Any], test: dict[str, Any],
+            sink: Callable[[RunMetadata], LogSink], **settings: Any) -> LoopResult:
+    """Run one test on the device at an open port, logged to ``sink``; ``settings`` go to ``run_test``."""
     from station.control.compensators import Compensator
     from station.control.references import reference_from_test
     from station.loop.run_test import run_test
-    from station.runs import McapLogWriter
 
     compensator = Compensator.from_spec(controller, rig.sample_rate, rig.amplifier.limit)
     reference = reference_from_test(test, rig.sample_rate)
     with progress(f"{test['kind']} on {line.url}") as update:
-        return run_test(line, rig, compensator, reference, log_sink=partial(McapLogWriter, out, overwrite=overwrite),
-                        progress=lambda row, rows: update(row / rows),
-                        **{"metadata": {"test": test}, **settings})
+        return run_test(line, rig, compensator, reference, log_sink=sink,
+                        progress=lambda row, rows: update(row / rows), **{"metadata": {"test": test}, **settings})
+
+
+def _sink(out: Path, overwrite: bool, shown: Rig | None) -> Callable[[RunMetadata], LogSink]:
+    """Makes the log at ``out``, with a live view beside it where a rig is to be shown."""
+    from station.runs import McapLogWriter
+
+    def make(metadata: RunMetadata) -> LogSink:
+        log = McapLogWriter(out, metadata, overwrite=overwrite)
+        if shown is None:
+            return log
+        from station.view.live import LiveView, LogAndView
+
+        return LogAndView(log, LiveView(shown))
+
+    return make
 
 
 def summary(result: LoopResult, out: Path) -> str:
@@ -90,7 +105,7 @@ def _command_for(kind: str) -> Callable[..., None]:
     words, defaults = KINDS[kind]
 
     def run(port: Port, rig: RigName, out: Log, controller: Controller = None, gain: Gain = None, zero: Zero = None,
-            pole: Pole = None, overwrite: Overwrite = False, **test: Any) -> None:
+            pole: Pole = None, overwrite: Overwrite = False, view: View = False, **test: Any) -> None:
         from station.cli.controllers import controller_spec
         from station.device.port import open_port
         from station.rig import load_rig
@@ -107,7 +122,7 @@ def _command_for(kind: str) -> Callable[..., None]:
         before = out.exists()
         with open_port(port) as line:
             try:
-                result = perform(line, model, spec, asked, out, overwrite)
+                result = perform(line, model, spec, asked, _sink(out, overwrite, model if view else None))
             except (KeyboardInterrupt, StationError):
                 if out.exists() and (overwrite or not before):
                     note(f"motor commanded to zero; the rows so far are in {out}")

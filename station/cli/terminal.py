@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
+PIPED_WIDTH = 200
+
 
 def printable(text: object) -> str:
     """``text`` with every character that a terminal might obey written as an escape."""
@@ -30,7 +32,7 @@ def console() -> Console:
     """Where tables and sentences go: standard output, wide enough for a table when piped."""
     from rich.console import Console
 
-    return Console(highlight=False, soft_wrap=not sys.stdout.isatty())
+    return Console(highlight=False, width=None if sys.stdout.isatty() else PIPED_WIDTH)
 
 
 def say(text: object = "") -> None:
@@ -67,6 +69,11 @@ def number(value: float | None, digits: int = 3, none: str = "-") -> str:
     return none if value is None or not math.isfinite(value) else f"{value:.{digits}g}"
 
 
+def quantity(value: float, unit: str, digits: int = 4) -> str:
+    """A number with its unit; one without dimension has none."""
+    return number(value, digits) if unit in ("", "1") else f"{number(value, digits)} {unit}"
+
+
 def write_json(target: str | Path, content: Any) -> None:
     """Write JSON to a file, or to standard output for ``-``."""
     text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
@@ -83,7 +90,10 @@ def write_text(path: str | Path, text: str) -> None:
 
 @contextmanager
 def progress(what: str) -> Iterator[Any]:
-    """A progress bar on standard error; yields ``update(fraction, text="")``. Silent when not a terminal."""
+    """A progress bar on standard error; yields ``update(fraction, text="")``, fraction None where unknown.
+
+    Silent when not a terminal.
+    """
     if not sys.stderr.isatty():
         yield lambda fraction, text="": None
         return
@@ -94,7 +104,8 @@ def progress(what: str) -> Iterator[Any]:
                   console=Console(stderr=True), transient=True) as bars:
         task = bars.add_task(what, total=1.0)
 
-        def update(fraction: float, text: str = "") -> None:
-            bars.update(task, completed=fraction, description=printable(text) or what)
+        def update(fraction: float | None, text: str = "") -> None:
+            bars.update(task, total=None if fraction is None else 1.0, completed=fraction,
+                        description=printable(text) or what)
 
         yield update

@@ -50,8 +50,8 @@ def test_a_device_that_never_answers(station):
 
 @pytest.mark.skipif(os.name == "nt", reason="Ctrl-C is sent otherwise on Windows")
 def test_another_program_finds_the_device_at_a_socket(station, tmp_path):
-    process = subprocess.Popen([sys.executable, "-m", "station", "device", "--rig", "sflr", "--tcp", "0", "--speed", "0"],
-                               cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen([sys.executable, "-m", "station", "device", "--rig", "sflr", "--tcp", "0",
+                                "--speed", "0"], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         address = process.stdout.readline().strip()
         assert address.startswith("socket://127.0.0.1:")
