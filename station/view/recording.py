@@ -6,20 +6,17 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from station.diagnose.result import RunComparison
-from station.errors import StationError, UsageError, WorkError
+from station.errors import WorkError
 from station.model.simulate import Simulation, simulate
-from station.rig import Rig, load_rig
+from station.rig import Rig
 from station.runs.run import Run
-from station.runs.store import load_run
 from station.view import arm
 from station.view.events import find_events
-from station.view.viewer import open_viewer
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -41,8 +38,8 @@ LABELS = {"measured": 1.0, "nominal": 0.66, "re-fitted": 0.33, "extended": 0.33}
 """Where along the arm its name stands, of its length."""
 
 
-Entry = RunComparison | tuple[Run, Mapping[str, Simulation]]
-"""A run of a recording: a comparison, or a run and its simulations by name (nominal, re-fitted, extended)."""
+Entry = RunComparison | Run
+"""What a tab shows: a run that a diagnosis has compared, or a run alone, simulated here on the nominal rig."""
 
 
 @dataclass(frozen=True)
@@ -59,21 +56,23 @@ def write_recording(path: str | os.PathLike[str], runs: Sequence[Entry], rig: Ri
                     exaggeration: float = EXAGGERATION, status_names: Mapping[int, str] | None = None) -> None:
     """Write a recording that opens with one tab for each run.
 
-    A comparison brings measured, nominal and extended (re-fitted where nothing was added).  Time is the device's,
-    from the run's first sample.  ``status_names`` maps status bits to words.  An existing file is replaced.
+    A comparison brings measured, nominal and extended (re-fitted where nothing was added), a bare run measured and
+    nominal, simulated on ``rig`` from the run's first readings.  Time is the device's, from the run's first sample.
+    ``status_names`` maps status bits to words.  An existing file is replaced.
     WorkError where the file cannot be written.
     """
     import rerun as rr
 
     target = Path(path)
+    tabs = [_sources(entry, rig) for entry in runs]
     recording = rr.RecordingStream(APPLICATION, recording_id=target.stem)
     try:
         if not target.parent.is_dir():
             raise WorkError(f"{target}: cannot be written: no such folder")
-        recording.save(target, _blueprint(runs, rig, exaggeration))
+        recording.save(target, _blueprint(tabs, rig, exaggeration))
         recording.send_recording_name(target.stem)
-        for number, entry in enumerate(runs, start=1):
-            _log_run(recording, f"run_{number}", entry, rig, exaggeration, status_names)
+        for number, (run, sources) in enumerate(tabs, start=1):
+            _log_run(recording, f"run_{number}", run, sources, rig, exaggeration, status_names)
         recording.flush()
     except (OSError, RuntimeError, ValueError) as error:
         raise WorkError(f"{target}: cannot be written: {error}") from None
@@ -81,68 +80,22 @@ def write_recording(path: str | os.PathLike[str], runs: Sequence[Entry], rig: Ri
         recording.disconnect()
 
 
-def view(paths: Sequence[str | os.PathLike[str]], web: bool = False, save: str | os.PathLike[str] | None = None,
-         rig: Rig | None = None) -> None:
-    """Show runs and recordings in Rerun's viewer, and return when it is closed.
-
-    Recordings (.rrd) open as they are; runs are set beside the nominal simulation of ``rig``, by default of the rig
-    that each names.  ``web``: in the browser, served on 127.0.0.1 alone.  ``save``: write the runs' recording there
-    instead of opening it.
-    """
-    files = [Path(path) for path in paths]
-    ready = [file for file in files if file.suffix in (".rrd", ".rbl")]
-    runs = [load_run(file) for file in files if file not in ready]
-    if save is not None:
-        if ready or not runs:
-            raise UsageError("--save makes a recording of runs"
-                             + (f"; {ready[0]} is one already" if ready else "; no run is given"))
-        _record(runs, rig, Path(save))
-        return
-    if not files:
-        raise UsageError("view: at least one run or recording is wanted")
-    with TemporaryDirectory(prefix="station-view-") as folder:
-        if runs:
-            ready.append(Path(folder) / f"{runs[0].name}.rrd")
-            _record(runs, rig, ready[-1])
-        open_viewer(ready, web)
-
-
-def _record(runs: Sequence[Run], rig: Rig | None, path: Path) -> None:
-    rigs = [rig or own_rig(run) for run in runs]
-    entries = [(run, {"nominal": simulate(its, run, states=True)}) for run, its in zip(runs, rigs, strict=True)]
-    write_recording(path, entries, rigs[0])
-
-
-def own_rig(run: Run) -> Rig:
-    """The rig that a run's metadata names or holds; UsageError where there is none that can be read."""
-    named = run.metadata.rig
-    try:
-        if isinstance(named, dict):
-            return Rig.model_validate(named)
-        if named:
-            return load_rig(named)
-    except (StationError, ValueError):
-        pass
-    raise UsageError(f"{run.name}: names no rig that can be read; say which with --rig")
-
-
-def _sources(entry: Entry) -> tuple[Run, list[_Source]]:
-    simulated: Mapping[str, Simulation]
-    if isinstance(entry, RunComparison):
-        run = entry.run
-        best = {"extended": entry.after} if entry.after is not None else {"re-fitted": entry.refit}
-        simulated = {"nominal": entry.before, **best}
+def _sources(entry: Entry, rig: Rig) -> tuple[Run, list[_Source]]:
+    simulated: dict[str, Simulation]
+    if isinstance(entry, Run):
+        rest = 0.0 if entry.accel is None else arm.resting(entry.accel, entry.sample_rate)
+        run, simulated = entry, {"nominal": simulate(rig, entry, accel_offset=rest, states=True)}
     else:
-        run, simulated = entry
+        run, simulated = entry.run, {"nominal": entry.before}
+        simulated |= {"extended": entry.after} if entry.after is not None else {"re-fitted": entry.refit}
     return run, [_Source("measured", run.encoder, run.accel),
                  *(_Source(name, s.encoder, s.accel, s.shape) for name, s in simulated.items())]
 
 
-def _log_run(recording: rr.RecordingStream, root: str, entry: Entry, rig: Rig, exaggeration: float,
-             status_names: Mapping[int, str] | None) -> None:
+def _log_run(recording: rr.RecordingStream, root: str, run: Run, sources: Sequence[_Source], rig: Rig,
+             exaggeration: float, status_names: Mapping[int, str] | None) -> None:
     import rerun as rr
 
-    run, sources = _sources(entry)
     clock = run.t if run.device_time is None else run.device_time
     seconds = np.asarray(clock, float) - float(clock[0])
 
@@ -200,19 +153,18 @@ def _log_arm(recording: rr.RecordingStream, path: str, source: _Source, seconds:
     recording.log(f"{path}/hub", rr.Points3D(hub, colors=colour, radii=0.02), static=True)
 
 
-def _blueprint(runs: Sequence[Entry], rig: Rig, exaggeration: float) -> rrb.Blueprint:
+def _blueprint(tabs: Sequence[tuple[Run, list[_Source]]], rig: Rig, exaggeration: float) -> rrb.Blueprint:
     import rerun.blueprint as rrb
 
-    tabs = [_tab(f"run_{number}", entry, rig, exaggeration) for number, entry in enumerate(runs, start=1)]
-    layout = tabs[0] if len(tabs) == 1 else rrb.Tabs(*tabs, active_tab=0)
+    views = [_tab(f"run_{number}", run, sources, rig, exaggeration) for number, (run, sources) in enumerate(tabs, 1)]
+    layout = views[0] if len(views) == 1 else rrb.Tabs(*views, active_tab=0)
     return rrb.Blueprint(layout, rrb.BlueprintPanel(state="collapsed"), rrb.SelectionPanel(state="collapsed"),
                          rrb.TimePanel(state="collapsed", timeline=TIMELINE), auto_views=False)
 
 
-def _tab(root: str, entry: Entry, rig: Rig, exaggeration: float) -> rrb.Horizontal:
+def _tab(root: str, run: Run, sources: Sequence[_Source], rig: Rig, exaggeration: float) -> rrb.Horizontal:
     import rerun.blueprint as rrb
 
-    run, sources = _sources(entry)
     length = rig.beam.length if rig.beam is not None else 0.3
     facing = float(np.median(run.encoder)) * rig.angle_per_count
     middle = 0.5 * length * np.array([np.cos(facing), np.sin(facing), 0.0])
@@ -227,12 +179,10 @@ def _tab(root: str, entry: Entry, rig: Rig, exaggeration: float) -> rrb.Horizont
                                   axis_x=rrb.TimeAxis(link="LinkToGlobal"),
                                   plot_legend=rrb.PlotLegend("RightTop"))
 
-    plots = [plot("Angle (encoder counts)", "angle")]
-    if len(sources) > 1:
-        plots.append(plot("Angle: measured − simulated (counts)", "residual/angle"))
-    if run.accel is not None:
-        plots.append(plot("Acceleration (counts)", "acceleration"))
-        if len(sources) > 1:
-            plots.append(plot("Acceleration: measured − simulated (counts)", "residual/acceleration"))
+    plots = [plot("Angle (encoder counts)", "angle"),
+             plot("Angle: measured − simulated (counts)", "residual/angle")]
+    if run.accel is not None and any(source.accel is not None for source in sources[1:]):
+        plots += [plot("Acceleration (counts)", "acceleration"),
+                  plot("Acceleration: measured − simulated (counts)", "residual/acceleration")]
     plots.append(plot("Command (counts)", "command"))
     return rrb.Horizontal(left, rrb.Vertical(*plots), column_shares=[2, 3], name=run.name)

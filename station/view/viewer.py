@@ -18,8 +18,8 @@ from station.errors import WorkError
 from station.view.web import LOOPBACK, serve_page
 
 
-def open_viewer(files: Sequence[Path], web: bool = False) -> None:
-    """Open recordings and wait until the viewer is closed (native) or Ctrl-C is pressed (web)."""
+def view(files: Sequence[str | os.PathLike[str]], web: bool = False) -> None:
+    """Open recordings (.rrd) and wait until the viewer is closed, or Ctrl-C is pressed (``web``: in the browser)."""
     names = [os.fspath(file) for file in files]
     if web:
         _open_web(names)

@@ -1,0 +1,78 @@
+"""A diagnosis and a comparison as tables on the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from station.diagnose.result import DiagnosisResult, RunComparison
+from station.view import remaining, wording
+
+RANKED = 6
+"""Candidates shown."""
+
+
+def print_diagnosis(result: DiagnosisResult, console: Console) -> None:
+    """Verdict, what is wrong, causes, rivals and why they lost, gain and next experiment."""
+    found = result.diagnosis
+    console.print(_plain(wording.verdict_sentence(found, result.rig)), style="bold")
+    if found.wrong:
+        console.print(_table("What the simulation gets wrong", ["run", "measure", "simulated", "measured"],
+                             [(w.run, *wording.measure(w)) for w in found.wrong]))
+    if found.causes:
+        rows = [(wording.cause_title(c.effect, c.at), wording.probability(c.probability), name.replace("_", " "),
+                 wording.interval(e)) for c in found.causes for name, e in c.parameters.items()]
+        console.print(_table("Causes", ["cause", "probability", "parameter", "value (95 % interval)"], rows))
+    if result.ranking:
+        named = {(c.effect, c.at) for c in found.causes}
+        console.print(_table("Candidates", ["candidate", "probability", "Δχ²", "gain", "why it stands here"], [
+            (wording.cause_title(c.effect, c.at), wording.probability(c.probability), wording.number(c.delta_chi2),
+             wording.percent(c.held_out_gain), wording.why_lost(c, result.ranking[0], (c.effect, c.at) in named))
+            for c in result.ranking[:RANKED]]))
+    if result.comparisons:
+        print_comparison(result.comparisons, console)
+    if found.gain.explained_fraction is not None and found.causes:
+        console.print(f"{wording.percent(found.gain.explained_fraction)} of the error above the noise is gone on "
+                      "runs that no fit has seen.")
+    if found.next_experiment is not None:
+        test = found.next_experiment.test
+        words = f"{wording.test_words(test)}. " if test else ""
+        console.print(_plain(f"Next: {words}{found.next_experiment.why}"))
+
+
+def print_comparison(comparisons: Sequence[RunComparison], console: Console) -> None:
+    """The error (nrmse) of each run and channel: as the rig file says, re-fitted, and with the causes."""
+    rows = []
+    for c in comparisons:
+        for channel, words in wording.CHANNELS.items():
+            measured = getattr(c.run, channel)
+            if measured is None or getattr(c.before, channel) is None:
+                continue
+            errors = [wording.percent(_error(measured, getattr(s, channel))) if s is not None else "–"
+                      for s in (c.before, c.refit, c.after)]
+            rows.append((c.run.name, words, *errors, "held out" if c.held_out else "in the fit"))
+    console.print(_table("Error, share of the signal", ["run", "channel", "before", "re-fitted", "after", ""], rows))
+
+
+def _error(measured: np.ndarray, simulated: np.ndarray) -> float | None:
+    error = remaining.nrmse(measured, simulated)
+    return error if np.isfinite(error) else None
+
+
+def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in columns:
+        table.add_column(column, overflow="fold")
+    for row in rows:
+        table.add_row(*(_plain(cell) for cell in row))
+    return table
+
+
+def _plain(text: str) -> Text:
+    """Text from files as it is: no markup, and no character that a terminal obeys."""
+    return Text("".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text))

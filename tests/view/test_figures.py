@@ -1,0 +1,83 @@
+"""What the figures are made of: thinned lines, spectra, whiteness, labels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from station.view import figures, remaining
+from station.view.labels import place_labels
+from tests.view import made
+
+
+def test_thinning_keeps_every_extreme() -> None:
+    rng = np.random.default_rng(1)
+    t = np.arange(100_001) / 500.0
+    y = rng.normal(size=t.size)
+    y[[777, 50_003]] = 90.0, -80.0
+    x, kept = figures.thin(t, y)
+    assert len(kept) <= figures.MAX_POINTS + 2
+    assert kept.max() == 90.0 and kept.min() == -80.0
+    assert x[0] == t[0] and x[-1] == t[-1] and np.all(np.diff(x) > 0)
+    assert np.all(y[np.searchsorted(t, x)] == kept)
+
+
+def test_nrmse_follows_its_definition() -> None:
+    measured = np.array([0.0, 1.0, 2.0, 3.0])
+    assert remaining.nrmse(measured, measured + 1.0) == pytest.approx(2.0 / np.sqrt(5.0))
+    assert np.isnan(remaining.nrmse(np.ones(4), np.zeros(4)))
+
+
+def test_white_noise_passes_and_a_slow_drift_fails() -> None:
+    rng = np.random.default_rng(2)
+    p_values = [remaining.whiteness(rng.normal(size=1000)).p_value for _ in range(200)]
+    assert 0.02 <= np.mean(np.array(p_values) < 0.1) <= 0.2
+    drift = rng.normal(size=1000) + 0.5 * np.sin(np.arange(1000) / 40.0)
+    assert not remaining.whiteness(drift).white
+
+
+def test_the_density_of_white_noise_is_its_power_over_the_band() -> None:
+    rng = np.random.default_rng(3)
+    frequency, density = remaining.amplitude_density(rng.normal(0.0, 2.0, 200_000), 500.0)
+    assert np.sqrt(np.mean(density[1:-1] ** 2)) == pytest.approx(2.0 / np.sqrt(250.0), rel=0.02)
+    assert frequency[0] > 0.0 and frequency[-1] == 250.0
+
+
+def test_the_hero_is_what_the_diagnosis_says_is_wrong() -> None:
+    comparison, channel = figures.hero_choice(made.result()) or (None, "")
+    assert comparison is not None and (comparison.run.name, channel) == ("step-kp2", "encoder")
+    other, _ = figures.hero_choice(made.result("nothing_missing")) or (None, "")
+    assert other is not None and other.run.name == "pulse-open-back"       # the largest error of a run held out
+
+
+def test_lines_differ_without_colour() -> None:
+    figure = figures.hero(made.comparisons()[0], "encoder")
+    looks = {(trace.line.dash, trace.line.width) for trace in figure.data}
+    assert len(looks) == len(figure.data) == 4
+    assert {note.text for note in figure.layout.annotations} == \
+        {"measured", "simulated before", "simulated after", "reference"}
+
+
+def test_labels_keep_clear_of_each_other_and_of_the_frame() -> None:
+    t = np.linspace(0.0, 2.0, 500)
+    lines = {"before": np.exp(-t) * np.cos(20 * t), "measured": np.exp(-2 * t) * np.cos(20 * t),
+             "after": np.exp(-2 * t) * np.cos(20 * t)}
+    texts = {"before": "simulated before", "measured": "measured", "after": "simulated after"}
+    places = place_labels(t, lines, texts, np.abs(lines["before"] - lines["measured"]))
+    boxes = []
+    for role, place in places.items():
+        y = (0.05 + 0.9 * (1.0 - lines[role][place.index]) / (1.0 - min(line.min() for line in lines.values())))
+        x = t[place.index] / 2.0 * 300 + place.shift - (7 * len(texts[role]) if place.shift < 0 else 0)
+        boxes.append((x, y * 225 + place.drop, x + 7 * len(texts[role])))
+    for i, (left, middle, right) in enumerate(boxes):
+        assert left > -5 and right < 305
+        assert all(abs(middle - m) >= 15 or right < a or b < left for a, m, b in boxes[i + 1:])
+
+
+def test_a_large_cloud_shows_its_median_and_the_law_is_drawn() -> None:
+    figure = figures.evidence_figure(made.friction_evidence())
+    cloud, median, law = figure.data
+    right = median.y[np.asarray(median.x) > 0.5]
+    assert cloud.name == "measured" and np.all(np.abs(right + made.FRICTION) < 0.006)
+    assert law.meta["role"] == "law" and figure.layout.yaxis.range[0] < -made.FRICTION
+    assert figures.evidence_figure(made.phase_evidence()).layout.xaxis.type == "log"
