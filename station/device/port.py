@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import socket
 from dataclasses import dataclass
 from types import TracebackType
 
@@ -105,7 +106,15 @@ def open_port(url: str, baud_rate: int = BAUD_RATE) -> Port:
                          "a path, or sim://RIG, replay://RUN, socket://HOST:PORT") from None
     except (OSError, AttributeError, TypeError) as error:  # the last two: pyserial's, on malformed URLs
         raise _complaint(url, error) from None
+    _send_at_once(line)
     return Port(url, line)
+
+
+def _send_at_once(line: SerialBase) -> None:
+    """Switch off the delay of small packets (Nagle's) on a socket, which pyserial leaves on: 40 ms now and then."""
+    connection = getattr(line, "_socket", None)
+    if isinstance(connection, socket.socket) and connection.family in (socket.AF_INET, socket.AF_INET6):
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
 
 @dataclass(frozen=True)
