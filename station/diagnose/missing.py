@@ -1,9 +1,9 @@
 """The missing torque: what must have acted on the rig besides its own model, when nothing else is assumed.
 
-The response to the logged command is simulated, the whole command chain of the rig included.  The model is linear, so
-what the run shows beyond that obeys the same modes driven by one unknown torque d at a port, a random walk:
+The response to the logged command is simulated, the rig's whole command chain included.  The model is linear, so what
+the run shows beyond that obeys the same modes, driven by one unknown torque d at a port, a random walk:
 
-    x[i+1] = F x[i] + b d[i],   d[i] = d[i-1] + w[i],   w ~ N(0, q),   y[i] = H x[i] + D d[i-1] + noise
+    x[i+1] = F x[i] + b d[i] + known,   d[i] = d[i-1] + w[i],   w ~ N(0, q),   y[i] = H x[i] + D d[i-1] + noise
 
 x holds the modal coordinates (exact zero-order hold), y is measured minus simulated: encoder and accelerometer, the
 accelerometer with an offset that wanders slowly.  Sensors are read before the torque of row i acts, as everywhere.
@@ -13,7 +13,9 @@ q is the one that makes the innovations most likely.  The smoother is that of Ra
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -21,12 +23,12 @@ from scipy.optimize import minimize_scalar
 from station.diagnose.noise import QUANTISATION, noise_sigmas, rest_rows
 from station.errors import UsageError
 from station.model import stepper
-from station.model.assembly import Assembly, assemble, torque_input
+from station.model.assembly import Assembly, torque_input
 from station.model.compiled import njit
 from station.model.effects import Effect, Stage
 from station.model.effects.base import torque_scale
 from station.model.modal import ModalForm, modal_form
-from station.model.simulate import build, controller_arrays, initial_state
+from station.model.simulate import Model, build, controller_arrays, initial_state
 from station.rig import Rig
 from station.runs.run import Run
 
@@ -34,33 +36,100 @@ SIZES = np.geomspace(1e-4, 1.0, 9)
 """Steps of the random walk that are tried first, of the motor's largest torque per sample."""
 WANDER = 0.01
 """Step of the accelerometer's offset, counts per sample."""
+SETTLED = 1e-6
+"""Relative change per row below which a covariance counts as settled."""
+REST_ROWS = 20
+NEWTON = 8
+PASSES = 3
+"""Times that torques which the rig holds are evaluated on the smoothed motion."""
 _COMMAND_PATH = (Stage.COMMAND, Stage.INPUT_DELAY, Stage.CLOCK)
+_TORQUES = (Stage.TORQUE, Stage.FRICTION, Stage.GAP, Stage.SPRING)
 _ACCEL_PATH = (Stage.ACCEL_INPUT, Stage.ACCEL_FILTER, Stage.ACCEL_COUNTS, Stage.ACCEL_DELAY)
 
 
 @dataclass(frozen=True)
 class MissingTorque:
-    """Arrays (n): row i is what acts from tick i to the next, like the command; motion at the middle between them."""
+    """Arrays (n).  Row i is what acts from tick i to the next, like the command; motion is that between the two."""
 
     t: np.ndarray
     torque: np.ndarray
-    """N m on the part named, on a joint's two sides (+ motor, - base); at the tip a force, N."""
+    """N m on the part named; on a joint: + on its motor side, - on the other; at the tip a force, N."""
     sigma: np.ndarray
     """Its standard deviation, given the model."""
     angle: np.ndarray
-    """Of the part, or a joint's deflection, rad; at the tip its position, m."""
+    """Of the part, or a joint's deflection, rad, from encoder count 0; at the tip its position, m."""
     speed: np.ndarray
-    speed_sigma: np.ndarray
     command: np.ndarray
     """Counts, as logged."""
-    base_angle: np.ndarray
-    """rad."""
+    base_speed: np.ndarray
+    """rad/s."""
     step: float
-    """The random walk's step per sample that is most likely, N m."""
+    """The likeliest step of the random walk per sample, N m (N)."""
+
+
+class _System(NamedTuple):
+    """The state-space model that the smoother runs on; x = [modes, d of the row before, accelerometer's offset]."""
+
+    f: np.ndarray
+    h: np.ndarray
+    r: np.ndarray
+    """(channels) variance of each."""
+    start: np.ndarray
+    """Covariance at row 0."""
+    noise: np.ndarray
+    """(size, 2) how w and the offset's wandering enter."""
+
+    def process(self, step: float) -> np.ndarray:
+        """Process covariance for a step of the random walk."""
+        return self.noise @ np.diag([step**2, WANDER**2]) @ self.noise.T
+
+
+class _Motion(NamedTuple):
+    """Angles and speeds of all coordinates at the ticks, (n, coordinates)."""
+
+    angle: np.ndarray
+    speed: np.ndarray
+
+
+def missing_torque(rig: Rig, run: Run, at: str = "motor", *, accelerometer: bool = True) -> MissingTorque:
+    """Estimate the torque that is missing at ``at``: motor, base, drive, clamp or tip (there a force).
+
+    The command chain that the rig holds (delay, lag and every static effect) acts on the logged command.  Torques that
+    it holds at any place are evaluated on the smoothed motion and are not part of the answer; of dry friction that is
+    so only while the part moves: what holds a resting part stays in the answer, up to the friction's level.  Of
+    sensors' effects the encoder's delay and eccentricity are undone; an accelerometer that the rig holds effects for
+    is not used, nor is it with ``accelerometer=False``.  UsageError: the rig has no such place.
+    """
+    run.require_unbroken()
+    model = build(rig.with_effects([e for e in rig.effects if e.stage in _COMMAND_PATH]))
+    period, parts = model.plan.h * model.plan.substeps, model.assembly
+    form = modal_form(parts)
+    form = form.select(np.flatnonzero(np.abs(form.eigenvalues).min(axis=1) < math.pi / period))
+    port = port_vector(rig, parts, at)
+    use_accel = (accelerometer and rig.accelerometer is not None and run.accel is not None
+                 and not any(e.stage in _ACCEL_PATH for e in rig.effects))
+    simulated, driven = _driven(model, run)
+    measured = [_true_encoder(rig, run.encoder, period)] + ([run.accel] if use_accel else [])
+    excess = np.stack([m - s for m, s in zip(measured, simulated, strict=False)], axis=1)
+    scale = torque_scale(rig) / (rig.beam.length if at == "tip" and rig.beam else 1.0)
+    system = _system(rig, parts, form, port, run, period, use_accel)
+    n, modes = parts.size, 2 * form.blocks
+    laws = [e for e in rig.effects if e.stage in _TORQUES]
+    forcing = np.zeros((len(run.t), system.f.shape[0]))
+    known: dict[str, np.ndarray] = {}
+    seen = excess
+    for _ in range(PASSES if laws else 1):
+        step = _likeliest(system, scale, seen, forcing)
+        x, variance = _smooth(*system[:4], system.process(step), system.process(scale), seen, forcing, modes)
+        motion = _Motion(driven.angle + x[:, :modes] @ form.basis[:n].T, driven.speed + x[:, :modes] @ form.basis[n:].T)
+        if laws:
+            known, forcing, seen = _known(rig, parts, form, laws, motion, known, system, excess, period)
+    return MissingTorque(run.t, _next(x[:, modes]), np.sqrt(_next(variance)), _between(motion.angle @ port),
+                         _between(motion.speed @ port), run.command, _between(motion.speed[:, parts.base]), step)
 
 
 def port_vector(rig: Rig, parts: Assembly, at: str) -> np.ndarray:
-    """Generalised torque of 1 N m (tip: force of 1 N) at a port, and the motion that it works on; UsageError if none."""
+    """Generalised torque of 1 N m (tip: force of 1 N) at a place, and the motion that it works on, by virtual work."""
     if at == "motor":
         return parts.unit(parts.motor)
     if at == "base":
@@ -71,83 +140,314 @@ def port_vector(rig: Rig, parts: Assembly, at: str) -> np.ndarray:
         return parts.unit(parts.base) - parts.unit(parts.root)
     if at == "tip" and parts.tip is not None:
         return parts.unit(parts.tip)
-    raise UsageError(f"missing torque: {rig.name} has no {at!r}")
-
-
-def missing_torque(rig: Rig, run: Run, at: str = "motor", *, accelerometer: bool = True) -> MissingTorque:
-    """Estimate the torque that is missing at ``at``: motor, base, drive, clamp or tip (there a force).
-
-    The command chain that the rig holds (delay, lag and every static effect) acts on the logged command.  Torques that
-    it holds at any port are evaluated on the smoothed motion and taken off; dry friction only while the part moves
-    (beyond 3 sigma of its speed): what holds a resting part stays in the missing torque.  A delayed or eccentric
-    encoder is corrected; an accelerometer that the rig holds effects for is not used, nor with ``accelerometer=False``.
-    """
-    run.require_unbroken()
-    linear = rig.with_effects([e for e in rig.effects if e.stage in _COMMAND_PATH])
-    model = build(linear)
-    period = model.plan.h * model.plan.substeps
-    parts = model.assembly
-    form = _below_nyquist(modal_form(parts), period)
-    use_accel = (accelerometer and rig.accelerometer is not None and run.accel is not None
-                 and not any(e.stage in _ACCEL_PATH for e in rig.effects))
-    simulated, angles, speeds = _driven(linear, model, run)
-    port = port_vector(rig, parts, at)
-    measured = [_true_encoder(rig, run.encoder, period)] + ([run.accel] if use_accel else [])
-    excess = np.stack([m - s for m, s in zip(measured, simulated, strict=False)], axis=1)
-    held, output, feed = _sampled(rig, parts, form, [port], period, use_accel)
-    n, modes = parts.size, 2 * form.blocks
-    size = modes + 1 + int(use_accel)
-    f, h = np.zeros((size, size)), np.zeros((excess.shape[1], size))
-    f[:modes, :modes] = _dense(form.exponential(period))
-    f[:modes, modes] = held[0]
-    f[modes, modes] = 1.0
-    h[:, :modes], h[:, modes] = output, feed[0]
-    noise = np.zeros((size, 2))
-    noise[:modes, 0], noise[modes, 0] = held[0], 1.0
-    if use_accel:
-        f[-1, -1] = h[1, -1] = noise[-1, 1] = 1.0
-    sigma = noise_sigmas([run])
-    r = np.array([sigma[0] ** 2 + QUANTISATION, sigma[1] ** 2 + QUANTISATION])[: excess.shape[1]]
-    scale = torque_scale(rig) / (rig.beam.length if at == "tip" and rig.beam else 1.0)
-    start = _start_covariance(rig, parts, form, run, size)
-    first = noise @ np.diag([scale**2, WANDER**2]) @ noise.T
-
-    def process(step: float) -> np.ndarray:
-        return noise @ np.diag([step**2, WANDER**2]) @ noise.T
-
-    def cost(log_step: float) -> float:
-        return -_likelihood(f, h, r, start, process(float(np.exp(log_step))), first, excess)
-
-    grid = np.log(SIZES * scale)
-    best = int(np.argmin([cost(g) for g in grid]))
-    bounds = grid[max(best - 1, 0)], grid[min(best + 1, grid.size - 1)]
-    step = float(np.exp(minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": 0.15}).x))
-    rows = np.zeros((2, size))
-    rows[0, modes] = 1.0
-    rows[1, :modes] = port @ form.basis[n:]
-    states, variance = _smooth(f, h, r, start, process(step), first, excess, rows)
-    known = np.zeros(len(run.t))
-    laws = [e for e in rig.effects if e.stage in (Stage.TORQUE, Stage.FRICTION, Stage.GAP, Stage.SPRING)]
-    if laws:
-        states, known = _without_known(rig, parts, form, laws, run, (f, h, r, start, process(step), first, excess, rows),
-                                       (states, variance), angles, speeds, at, port, period, use_accel)
-    position = angles + states[:, :modes] @ form.basis[:n].T
-    rate = speeds + states[:, :modes] @ form.basis[n:].T
-    torque, sd = _next(states[:, modes]), np.sqrt(variance)
-    return MissingTorque(run.t, torque, _next(sd[:, 0]), _middle(position @ port), _middle(rate @ port),
-                         _middle(sd[:, 1]), run.command, _middle(position[:, parts.base]), step)
-
-
-def _below_nyquist(form: ModalForm, period: float) -> ModalForm:
-    """The modes that samples can show."""
-    return form.select(np.flatnonzero(np.abs(form.eigenvalues).min(axis=1) < np.pi / period))
+    raise UsageError(f"missing torque at {at!r}: rig {rig.name} has no such place")
 
 
 def _next(values: np.ndarray) -> np.ndarray:
-    """Row i: the value held from tick i on, which the state notes at tick i + 1."""
+    """Row i: what is held from tick i on, which the state notes at tick i + 1."""
     return np.append(values[1:], values[-1])
 
 
-def _middle(values: np.ndarray) -> np.ndarray:
-    """Row i: halfway between tick i and tick i + 1."""
+def _between(values: np.ndarray) -> np.ndarray:
+    """Row i: halfway between tick i and the next."""
     return 0.5 * (values + _next(values))
+
+
+def _driven(model: Model, run: Run) -> tuple[tuple[np.ndarray, np.ndarray], _Motion]:
+    """Channels (encoder, accel) and motion that the logged command causes on the model, from the run's rest."""
+    rows, rest = len(run.t), max(min(rest_rows(run), 100), 1)
+    start = float(np.mean(run.encoder[:rest])) * model.rig.angle_per_count
+    offset = 0.0 if run.accel is None else float(np.mean(run.accel[:rest]))
+    state = initial_state(model, start, equilibrium=run.metadata.start == "equilibrium")
+    controller = controller_arrays({"kind": "open"}, model.rig)
+    encoder, accel, history = np.zeros(rows), np.zeros(rows), np.zeros((rows, state.z.size))
+    stepper.run_ticks(model.plan, state, controller, run.reference, np.array(run.command), False, 0, offset, False, False,
+                      encoder, accel, history)
+    full = history @ model.form.basis.T
+    return (encoder, accel), _Motion(full[:, :model.assembly.size], full[:, model.assembly.size:])
+
+
+def _true_encoder(rig: Rig, reading: np.ndarray, period: float) -> np.ndarray:
+    """The encoder without the eccentricity and delay that the rig holds; its last reading is held."""
+    corrected, ticks = reading, np.arange(len(reading))
+    for effect in rig.effects:
+        if effect.stage is Stage.ENCODER:
+            p = effect.arguments(rig)
+            corrected = corrected - [type(effect).law(c * rig.angle_per_count, 0.0, 0.0, p, [0.0], period)
+                                     for c in reading]
+    late = sum(e.values()["time"] for e in rig.effects if e.stage is Stage.ENCODER_DELAY)
+    return np.interp(ticks + late / period, ticks, corrected)
+
+
+def _dense(blocks: np.ndarray) -> np.ndarray:
+    """Blocks (4, b) as one matrix (2b, 2b)."""
+    return np.block([[np.diag(blocks[0]), np.diag(blocks[1])], [np.diag(blocks[2]), np.diag(blocks[3])]])
+
+
+def _ports(rig: Rig, parts: Assembly, form: ModalForm, port: np.ndarray, period: float,
+           channels: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Response of the modes to 1 N m held over a period (2b), output rows (channels, 2b), and outputs at once."""
+    n = parts.size
+    force = form.inverse @ torque_input(parts, port)
+    rows, feed = [form.basis[parts.base] / rig.angle_per_count], [0.0]
+    if channels == 2 and rig.accelerometer is not None and parts.tip is not None:
+        tip = rig.accelerometer.gain * form.basis[n + parts.tip]
+        rows.append(tip @ _dense(form.function(lambda z: z, 1.0)))
+        feed.append(float(tip @ force))
+    return _dense(form.integral(period)) @ force, np.array(rows), np.array(feed)
+
+
+def _system(rig: Rig, parts: Assembly, form: ModalForm, port: np.ndarray, run: Run, period: float,
+            use_accel: bool) -> _System:
+    """Modes, unknown torque and the accelerometer's offset.
+
+    At rest the rig's angle is known to a count; where the start is an equilibrium, its drive may be twisted.
+    """
+    channels, modes = 1 + int(use_accel), 2 * form.blocks
+    held, rows, feed = _ports(rig, parts, form, port, period, channels)
+    size = modes + channels
+    f, h, noise, start = np.zeros((size, size)), np.zeros((channels, size)), np.zeros((size, 2)), np.zeros((size, size))
+    f[:modes, :modes], f[:modes, modes], f[modes, modes] = _dense(form.exponential(period)), held, 1.0
+    h[:, :modes], h[:, modes] = rows, feed
+    noise[:modes, 0], noise[modes, 0] = held, 1.0
+    spread = [parts.rigid * rig.angle_per_count]
+    if rig.drive is not None and run.metadata.start == "equilibrium":
+        spread.append(parts.unit(parts.motor) * 0.05 * torque_scale(rig) / rig.drive.stiffness)
+    for vector in spread:
+        z = form.inverse @ np.concatenate([vector, np.zeros(parts.size)])
+        start[:modes, :modes] += np.outer(z, z)
+    if use_accel:
+        f[-1, -1] = h[1, -1] = noise[-1, 1] = start[-1, -1] = 1.0
+    sigmas = noise_sigmas([run])
+    return _System(f, h, np.array([s**2 + QUANTISATION for s in sigmas[:channels]]), start, noise)
+
+
+def _likeliest(system: _System, scale: float, excess: np.ndarray, forcing: np.ndarray) -> float:
+    """The random walk's step of greatest likelihood: a grid over four decades, refined by golden section."""
+    first = system.process(scale)
+
+    def cost(log: float) -> float:
+        return _misfit(*system[:4], system.process(math.exp(log)), first, excess, forcing)
+
+    grid = np.log(SIZES * scale)
+    best = int(np.argmin([cost(log) for log in grid]))
+    around = (grid[max(best - 1, 0)], grid[min(best + 1, grid.size - 1)])
+    return math.exp(minimize_scalar(cost, bounds=around, method="bounded", options={"xatol": 0.1}).x)
+
+
+def law_values(rig: Rig, effect: Effect, x: np.ndarray, v: np.ndarray | float = 0.0, w: np.ndarray | float = 0.0,
+               h: float | None = None) -> np.ndarray:
+    """An effect's own law along arrays (n), its states carried from row to row; see station.model.effects.base."""
+    law, p, s = type(effect).law, effect.arguments(rig), [0.0] * max(effect.states, 1)
+    return np.array([law(*row, p, s, rig.period if h is None else h)  # type: ignore[misc]
+                     for row in zip(*(a.tolist() for a in np.broadcast_arrays(x, v, w)), strict=True)])
+
+
+def held_torque(rig: Rig, at: str, angle: np.ndarray, speed: np.ndarray, drive_torque: np.ndarray,
+                before: np.ndarray | float, h: float) -> np.ndarray:
+    """Torque (n) of the rig's own effects on a part that moves so, N m; of joints what differs from spring and damper.
+
+    Dry friction of a part that moves less than a count in REST_ROWS rows is left at 0: the motion does not say it.
+    ``before`` is what was found for this place with the motion at hand: a spring without play is taken at the
+    deflection at which it carries the torque that this motion passes on, which the data fix, not the deflection.
+    """
+    total = np.zeros(len(angle))
+    here = [e for e in rig.effects if e.stage in _TORQUES and _port_of(rig, e) == at]
+    for effect in here:
+        if effect.stage is Stage.TORQUE:
+            total += law_values(rig, effect, angle, speed, h=h)
+        elif effect.stage is Stage.FRICTION:
+            moves = np.abs(speed) > rig.angle_per_count / (REST_ROWS * h)
+            total -= np.sign(speed) * moves * law_values(rig, effect, np.abs(speed), 0.0, np.abs(drive_torque), h)
+    if any(e.stage is Stage.GAP for e in here):
+        joint = getattr(rig, at)
+        total += joint.stiffness * angle + joint.damping * speed - joint_torque(rig, at, angle, speed, h)
+    elif any(e.stage is Stage.SPRING for e in here):
+        stiffness = getattr(rig, at).stiffness
+        carried = stiffness * angle - before
+        total += stiffness * _deflection(rig, at, carried, angle, h) - carried
+    return total
+
+
+def _deflection(rig: Rig, at: str, torque: np.ndarray, guess: np.ndarray, h: float) -> np.ndarray:
+    """Deflection (n) at which a joint at rest carries a torque (n), by Newton's method."""
+    small, still, x = 1e-6 * (1.0 + np.max(np.abs(guess))), np.zeros(len(guess)), guess
+    for _ in range(NEWTON):
+        value = joint_torque(rig, at, x, still, h)
+        slope = (joint_torque(rig, at, x + small, still, h) - value) / small
+        x = x + (torque - value) / np.maximum(slope, 0.05 * getattr(rig, at).stiffness)
+    return x
+
+
+def joint_torque(rig: Rig, at: str, deflection: np.ndarray, rate: np.ndarray, h: float) -> np.ndarray:
+    """Torque (n) of the drive or clamp with the effects that the rig holds, pulling its two sides together, N m."""
+    joint, beyond, effects = getattr(rig, at), deflection, [e for e in rig.effects if e.at == at]
+    gaps = [e for e in effects if e.stage is Stage.GAP]
+    for effect in gaps:
+        beyond = law_values(rig, effect, beyond, h=h)
+    engaged = beyond != 0.0 if gaps else np.ones(len(beyond), dtype=bool)
+    springs = [law_values(rig, e, beyond, rate, h=h) for e in effects if e.stage is Stage.SPRING]
+    return joint.stiffness * beyond + joint.damping * rate * engaged + sum(springs)
+
+
+def _port_of(rig: Rig, effect: Effect) -> str:
+    """The place at which an effect's torque acts."""
+    if effect.stage is Stage.FRICTION and effect.at == "drive" or effect.at == "base" and rig.drive is None:
+        return "motor"
+    return effect.at
+
+
+def _known(rig: Rig, parts: Assembly, form: ModalForm, laws: list[Effect], motion: _Motion,
+           before: dict[str, np.ndarray], system: _System, excess: np.ndarray,
+           period: float) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
+    """The rig's own torques on a motion, by place; their push on the state (n, size), and the channels without them."""
+    channels, modes = excess.shape[1], 2 * form.blocks
+    forcing, seen = np.zeros((len(excess), system.f.shape[0])), excess.copy()
+
+    def between(at: str) -> tuple[np.ndarray, np.ndarray]:
+        vector = port_vector(rig, parts, at)
+        return _between(motion.angle @ vector), _between(motion.speed @ vector)
+
+    drive = joint_torque(rig, "drive", *between("drive"), period) if rig.drive else np.zeros(len(excess))
+    torques = {at: held_torque(rig, at, *between(at), drive, before.get(at, 0.0), period)
+               for at in dict.fromkeys(_port_of(rig, e) for e in laws)}
+    for at, torque in torques.items():
+        held, _, feed = _ports(rig, parts, form, port_vector(rig, parts, at), period, channels)
+        forcing[:, :modes] += np.outer(torque, held)
+        seen[1:] -= np.outer(torque[:-1], feed)
+    return torques, forcing, seen
+
+
+@njit(cache=True, nogil=True)
+def _times(a, x):
+    """Matrix times vector."""
+    out = np.zeros(a.shape[0])
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            out[i] += a[i, j] * x[j]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _sandwich(a, b):
+    """a b a', for symmetric b."""
+    half, out = np.zeros(a.shape), np.zeros(a.shape)
+    for i in range(a.shape[0]):
+        for k in range(a.shape[0]):
+            for j in range(a.shape[0]):
+                half[i, j] += a[i, k] * b[k, j]
+    for i in range(a.shape[0]):
+        for j in range(i + 1):
+            for k in range(a.shape[0]):
+                out[i, j] += half[i, k] * a[j, k]
+            out[j, i] = out[i, j]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _update(h, r, x, p, y, gain, spread, surprise):
+    """Take in one row's channels one after the other; writes gains (c, m), variances (c) and innovations (c)."""
+    size, cost = x.size, 0.0
+    for c in range(y.size):
+        for i in range(size):
+            total = 0.0
+            for j in range(size):
+                total += p[i, j] * h[c, j]
+            gain[c, i] = total
+        spread[c] = r[c]
+        surprise[c] = y[c]
+        for i in range(size):
+            spread[c] += h[c, i] * gain[c, i]
+            surprise[c] -= h[c, i] * x[i]
+        for i in range(size):
+            for j in range(size):
+                p[i, j] -= gain[c, i] * gain[c, j] / spread[c]
+        for i in range(size):
+            gain[c, i] /= spread[c]
+            x[i] += gain[c, i] * surprise[c]
+        cost += math.log(spread[c]) + surprise[c] ** 2 / spread[c]
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def _settled(p, old, level):
+    """Whether a covariance has stopped changing."""
+    for i in range(p.shape[0]):
+        for j in range(p.shape[0]):
+            if abs(p[i, j] - old[i, j]) > level * math.sqrt(p[i, i] * p[j, j]):
+                return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _misfit(f, h, r, start, process, first, y, forcing):
+    """Minus twice the logarithm of the innovations' likelihood, a constant aside.
+
+    Once the covariance has settled (SETTLED) its gains stay, and a row costs one product of matrix and vector.
+    """
+    rows, channels = y.shape
+    size = f.shape[0]
+    x, p, steady = np.zeros(size), start.copy(), False
+    gain, spread, surprise = np.zeros((channels, size)), np.zeros(channels), np.zeros(channels)
+    total, constant = 0.0, 0.0
+    for k in range(rows):
+        if steady:
+            for c in range(channels):
+                e = y[k, c]
+                for i in range(size):
+                    e -= h[c, i] * x[i]
+                for i in range(size):
+                    x[i] += gain[c, i] * e
+                total += e * e / spread[c]
+            total += constant
+            x = _times(f, x) + forcing[k]
+            continue
+        old = p.copy()
+        total += _update(h, r, x, p, y[k], gain, spread, surprise)
+        x = _times(f, x) + forcing[k]
+        p = _sandwich(f, p) + (first if k == 0 else process)
+        if k > 1 and _settled(p, old, SETTLED):
+            steady = True
+            constant = np.sum(np.log(spread))
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _smooth(f, h, r, start, process, first, y, forcing, watched):
+    """Smoothed states (n, size) and the variance of one of them (n), by the modified Bryson-Frazier recursion.
+
+    Backwards, for each channel (K gain, S variance, e innovation):  l <- (I - K h)' l - h e/S,
+    L <- (I - K h)' L (I - K h) + h h'/S;  between rows l <- F' l, L <- F' L F;  x_s = x - P l, P_s = P - P L P.
+    """
+    rows, channels = y.shape
+    size = f.shape[0]
+    xs, ps = np.zeros((rows, size)), np.zeros((rows, size, size))
+    gains, spreads = np.zeros((rows, channels, size)), np.zeros((rows, channels))
+    surprises, variance = np.zeros((rows, channels)), np.zeros(rows)
+    x, p = np.zeros(size), start.copy()
+    transposed = np.ascontiguousarray(f.T)
+    for k in range(rows):
+        xs[k], ps[k] = x, p
+        _update(h, r, x, p, y[k], gains[k], spreads[k], surprises[k])
+        x = _times(f, x) + forcing[k]
+        p = _sandwich(f, p) + (first if k == 0 else process)
+    l, big = np.zeros(size), np.zeros((size, size))
+    for k in range(rows - 1, -1, -1):
+        for c in range(channels - 1, -1, -1):
+            kl, klk = 0.0, 0.0
+            lk = _times(big, gains[k, c])
+            for i in range(size):
+                kl += gains[k, c, i] * l[i]
+                klk += gains[k, c, i] * lk[i]
+            slope = kl + surprises[k, c] / spreads[k, c]
+            weight = klk + 1.0 / spreads[k, c]
+            for i in range(size):
+                l[i] -= h[c, i] * slope
+                for j in range(size):
+                    big[i, j] += h[c, i] * h[c, j] * weight - h[c, i] * lk[j] - lk[i] * h[c, j]
+        xs[k] -= _times(ps[k], l)
+        row = ps[k, watched]
+        variance[k] = max(row[watched] - np.sum(row * _times(big, row)), 0.0)
+        l = _times(transposed, l)
+        big = _sandwich(transposed, big)
+    return xs, variance
