@@ -161,8 +161,8 @@ def _driven(model: Model, run: Run) -> tuple[tuple[np.ndarray, np.ndarray], _Mot
     state = initial_state(model, start, equilibrium=run.metadata.start == "equilibrium")
     controller = controller_arrays({"kind": "open"}, model.rig)
     encoder, accel, history = np.zeros(rows), np.zeros(rows), np.zeros((rows, state.z.size))
-    stepper.run_ticks(model.plan, state, controller, run.reference, np.array(run.command), False, 0, offset, False, False,
-                      encoder, accel, history)
+    stepper.run_ticks(model.plan, state, controller, run.reference, np.array(run.command), False, 0, offset, False,
+                      False, encoder, accel, history)
     full = history @ model.form.basis.T
     return (encoder, accel), _Motion(full[:, :model.assembly.size], full[:, model.assembly.size:])
 
@@ -431,23 +431,23 @@ def _smooth(f, h, r, start, process, first, y, forcing, watched):
         _update(h, r, x, p, y[k], gains[k], spreads[k], surprises[k])
         x = _times(f, x) + forcing[k]
         p = _sandwich(f, p) + (first if k == 0 else process)
-    l, big = np.zeros(size), np.zeros((size, size))
+    pull, big = np.zeros(size), np.zeros((size, size))
     for k in range(rows - 1, -1, -1):
         for c in range(channels - 1, -1, -1):
             kl, klk = 0.0, 0.0
             lk = _times(big, gains[k, c])
             for i in range(size):
-                kl += gains[k, c, i] * l[i]
+                kl += gains[k, c, i] * pull[i]
                 klk += gains[k, c, i] * lk[i]
             slope = kl + surprises[k, c] / spreads[k, c]
             weight = klk + 1.0 / spreads[k, c]
             for i in range(size):
-                l[i] -= h[c, i] * slope
+                pull[i] -= h[c, i] * slope
                 for j in range(size):
                     big[i, j] += h[c, i] * h[c, j] * weight - h[c, i] * lk[j] - lk[i] * h[c, j]
-        xs[k] -= _times(ps[k], l)
+        xs[k] -= _times(ps[k], pull)
         row = ps[k, watched]
         variance[k] = max(row[watched] - np.sum(row * _times(big, row)), 0.0)
-        l = _times(transposed, l)
+        pull = _times(transposed, pull)
         big = _sandwich(transposed, big)
     return xs, variance
