@@ -58,7 +58,10 @@ def channels(comparison: RunComparison) -> list[str]:
 
 
 def hero(comparison: RunComparison, channel: str) -> go.Figure:
-    """One run, one channel: measured, simulated before and after, each labelled on its line."""
+    """One run, one channel: measured, simulated before and after, each labelled on its line.
+
+    The reference joins them where the loop is closed and it rests at few levels, as in a step.
+    """
     figure = _empty()
     run = comparison.run
     lines = {"measured": getattr(run, channel)}
@@ -66,7 +69,8 @@ def hero(comparison: RunComparison, channel: str) -> go.Figure:
     for role, values in lines.items():
         name, dash, width = ROLES[role]
         figure.add_trace(_line(run.t, values, role, name, dash, width))
-    if channel == "encoder" and run.metadata.controller.get("kind") != "open":
+    rests = np.count_nonzero(np.diff(run.reference)) < 0.02 * len(run.t)
+    if channel == "encoder" and rests and run.metadata.controller.get("kind") != "open":
         lines["reference"] = run.reference
         figure.add_trace(_line(run.t, run.reference, "reference", "reference", "dot", 1.4, legend=False))
     _label_lines(figure, run.t, lines)

@@ -131,8 +131,10 @@ class _Page:
     @property
     def hero_facts(self) -> list[tuple[str, str, str]]:
         """What the hero's run gets wrong: measure, simulated, measured, in words."""
-        name = self.hero[0].run.name if self.hero else None
-        return [wording.measure(w) for w in self.diagnosis.wrong if w.run == name][:3]
+        if self.hero is None:
+            return []
+        shown = (self.hero[0].run.name, self.hero[1])
+        return [wording.measure(w) for w in self.diagnosis.wrong if (w.run, w.channel) == shown][:2]
 
     @property
     def open(self) -> bool:

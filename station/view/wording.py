@@ -22,7 +22,7 @@ _PREFIX = "parameter:"
 _INSIDE = {"drive", "clamp", "accelerometer", "encoder", "clock", "amplifier"}
 # measure: (words, factor, unit)
 _MEASURES = {"overshoot_percent": ("overshoot", 1.0, " %"), "settling_time": ("settling time", 1.0, " s"),
-             "nrmse": ("error", 100.0, " % of the signal")}
+             "peak_counts": ("peak", 1.0, " counts"), "nrmse": ("error", 100.0, " % of the signal")}
 _NO_CAUSE = {"none": "none of these", "nothing": "nothing missing", "": "nothing missing"}
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -58,7 +58,7 @@ def probability(value: float) -> str:
     """A probability as a percentage that never rounds to certainty."""
     if value < 0.001:
         return "< 0.1 %"
-    if 0.999 < value < 1.0:
+    if value > 0.999:
         return "> 99.9 %"
     return percent(value)
 
@@ -153,9 +153,11 @@ def measure(item: Wrong) -> tuple[str, str, str]:
     words, factor, unit = _MEASURES.get(item.measure, (item.measure.replace("_", " "), 1.0, ""))
 
     def shown(value: float | None) -> str:
-        return "never" if value is None and item.measure == "settling_time" else \
-            "–" if value is None else f"{number(factor * value)}{unit}"
-    return f"{CHANNELS[item.channel]} {words}", shown(item.simulated), shown(item.measured)
+        if value is None:
+            return "never" if item.measure == "settling_time" else "–"
+        return f"{number(factor * value)}{unit}"
+    measured = "–" if item.measure == "nrmse" else shown(item.measured)
+    return f"{CHANNELS[item.channel]} {words}", shown(item.simulated), measured
 
 
 def test_words(test: dict[str, Any] | None) -> str:
