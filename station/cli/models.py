@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -124,8 +124,7 @@ def fit(
         write_text(save_rig, found.rig.to_toml())
     if json is not None:
         write_json(json, {
-            "constants": {c.path: {"nominal": c.nominal, "value": c.value, "low": c.low, "high": c.high,
-                                   "determined": c.determined, "at_bound": c.at_bound} for c in found.constants},
+            "constants": [asdict(constant) for constant in found.constants],
             "held": list(found.held), "flat": [str(direction) for direction in found.flat],
             "warnings": list(found.warnings), "chi2": found.chi2, "chi2_nominal": found.chi2_nominal})
     if json != "-":

@@ -1,0 +1,86 @@
+"""simulate, compare, fit and bode from the command line."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from station.rig import builtin_rigs, load_rig
+from station.runs import export_run, load_run
+from tests.cli.conftest import step_run
+from tests.measured import measured_log
+
+
+def test_simulate_does_the_test_of_a_run_on_another_rig(station, step, tmp_path):
+    same, other = tmp_path / "same.mcap", tmp_path / "other.csv"
+    heavy = tmp_path / "heavy.toml"
+    heavy.write_text(builtin_rigs()["sflr"].replace("inertia = 0.00131777", "inertia = 0.01"))
+    assert station("simulate", "--rig", "sflr", "--like", step, "--out", same).status == 0
+    assert station("simulate", "--rig", heavy, "--like", step, "--out", other).status == 0
+    measured = load_run(step)
+    assert np.array_equal(load_run(same).encoder, measured.encoder)
+    assert not np.array_equal(load_run(other).encoder, measured.encoder)
+    assert load_run(other).metadata.rig["motor"]["inertia"] == 0.01
+
+
+def test_compare_has_the_form_of_the_contract(station, step):
+    found = json.loads(station("compare", "--rig", "sflr", step, "--json", "-").out)
+    assert set(found) == {"runs"}
+    one = found["runs"][0]
+    assert set(one) == {"run", "encoder", "accel", "measured", "simulated"}
+    assert one["run"] == "step"
+    assert one["encoder"]["nrmse"] < 0.01 and one["accel"]["nrmse"] < 0.05
+    assert set(one["measured"]) == {"overshoot_percent", "settling_time"}
+    assert one["measured"]["overshoot_percent"] == pytest.approx(one["simulated"]["overshoot_percent"], abs=2.1)
+
+
+def test_compare_shows_a_wrong_rig(station, step, tmp_path):
+    slow = tmp_path / "slow.toml"
+    slow.write_text(builtin_rigs()["sflr"].replace("damping = 0.158669", "damping = 0.4"))
+    found = json.loads(station("compare", "--rig", slow, step, "--json", "-").out)["runs"][0]
+    assert found["encoder"]["nrmse"] > 0.1
+    ended = station("compare", "--rig", slow, step)
+    assert "step" in ended.out and "overshoot" in ended.out
+
+
+@pytest.mark.parametrize(("log", "overshoot"), [("p", 24.0), ("lead", 10.0), ("lead_accel", 21.5)])
+def test_compare_measures_the_overshoot_that_the_thesis_measured(station, log, overshoot):
+    found = json.loads(station("compare", "--rig", "sflr", measured_log(log), "--json", "-").out)["runs"][0]
+    assert found["measured"]["overshoot_percent"] == pytest.approx(overshoot)
+
+
+def test_fit_finds_a_constant_that_is_off(station, tmp_path):
+    runs = []
+    for amplitude in (40.0, 90.0):
+        path = tmp_path / f"step{amplitude:g}.csv"
+        export_run(step_run(amplitude=amplitude, rows=400), path)
+        runs.append(path)
+    off, fitted = tmp_path / "off.toml", tmp_path / "fitted.toml"
+    off.write_text(load_rig("sflr").with_constants({"drive.stiffness": 0.8 * 0.102728}).to_toml())
+    hold = [argument for path in load_rig("sflr").constants() if path != "drive.stiffness"
+            for argument in ("--hold", path)]
+    ended = station("fit", "--rig", off, *runs, *hold, "--starts", 1, "--save-rig", fitted, "--json", "-")
+    assert ended.status == 0, ended.err
+    (only,) = json.loads(ended.out)["constants"]
+    value = only["value"]
+    assert only["path"] == "drive.stiffness" and only["low"] < value < only["high"]
+    assert value == pytest.approx(0.102728, rel=0.03)
+    assert load_rig(fitted).drive.stiffness == pytest.approx(value)
+
+
+def test_fit_names_a_constant_that_is_not_there(station, step):
+    ended = station("fit", "--rig", "sflr", step, "--hold", "wheel.mass")
+    assert ended.status == 2 and "wheel.mass" in ended.one_line()
+
+
+def test_bode_draws_the_rig_and_a_run(station, step, tmp_path):
+    out, sweep = tmp_path / "bode.svg", tmp_path / "sweep.mcap"
+    assert station("run", "sweep", "--port", "sim://sflr", "--rig", "sflr", "--duration", "10",
+                   "--out", sweep).status == 0
+    assert station("bode", "--rig", "sflr", "--run", sweep, "--out", out).status == 0
+    assert out.read_text(encoding="utf-8").lstrip().startswith("<?xml")
+    ended = station("bode", "--rig", "sflr", "--run", step, "--out", out)
+    assert ended.status == 1 and "step" in ended.one_line()
+    assert station("bode", "--rig", "sflr", "--out", tmp_path / "bode.txt").status == 2
