@@ -217,7 +217,7 @@ def _mean_density(comparisons: list[RunComparison], channel: str, role: str) -> 
     powers = []
     for comparison in comparisons:
         error = getattr(comparison.run, channel) - getattr(simulations(comparison)[role], channel)
-        frequency, density = remaining.amplitude_density(error, comparison.run.sample_rate, min(256, shortest))
+        frequency, density = remaining.amplitude_density(error, comparison.run.sample_rate, min(512, shortest))
         powers.append(density**2)
     return frequency, np.sqrt(np.mean(powers, axis=0))
 

@@ -14,7 +14,7 @@ def nrmse(measured: np.ndarray, simulated: np.ndarray) -> float:
     return float(np.linalg.norm(measured - simulated) / scale) if scale > 0.0 else float("nan")
 
 
-def amplitude_density(residual: np.ndarray, sample_rate: float, segment: int = 256) -> tuple[np.ndarray, np.ndarray]:
+def amplitude_density(residual: np.ndarray, sample_rate: float, segment: int = 512) -> tuple[np.ndarray, np.ndarray]:
     """Frequency, Hz, and amplitude density, units/√Hz, by Welch's method (Welch 1967, Hann, half overlap)."""
     frequency, density = signal.welch(residual, sample_rate, nperseg=min(segment, len(residual)))
     return frequency[1:], np.sqrt(density[1:])

@@ -37,7 +37,7 @@ def print_diagnosis(result: DiagnosisResult, console: Console) -> None:
     if result.comparisons:
         print_comparison(result.comparisons, console)
     if found.gain.explained_fraction is not None and found.causes:
-        console.print(f"{wording.percent(found.gain.explained_fraction)} of the error above the noise is gone on "
+        console.print(f"{wording.explained(found.gain.explained_fraction)} of the error above the noise is gone on "
                       "runs that no fit has seen.")
     if found.next_experiment is not None:
         test = found.next_experiment.test

@@ -168,6 +168,11 @@ def test_words(test: dict[str, Any] | None) -> str:
     return ", ".join([str(test.get("kind", "test")), *rest])
 
 
+def explained(fraction: float) -> str:
+    """How much of the error above the noise is gone: ``93 %``, ``all`` (a fraction may exceed 1), ``none``."""
+    return "all" if fraction >= 0.995 else "none" if fraction <= 0.0 else percent(fraction)
+
+
 def gain_rows(diagnosis: Diagnosis) -> list[tuple[str, ChannelGain]]:
     """The gain per channel, in words, of the channels that have one."""
     pairs = ((CHANNELS[name], getattr(diagnosis.gain, name)) for name in ("encoder", "accel"))
@@ -180,6 +185,8 @@ def why_lost(cause: RankedCause, first: RankedCause | None, named: bool) -> str:
         return cause.note
     if named:
         return "named as a cause"
+    if cause is first:
+        return "first, but not named by this verdict"
     if cause.held_out_gain is not None and cause.held_out_gain <= 0.0:
         return "does not help on unseen runs"
     if first is not None and first.delta_chi2 - cause.delta_chi2 > 4.0:

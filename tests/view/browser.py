@@ -42,5 +42,5 @@ class Watched:
     def open(self, path: Path) -> Any:
         """Open a report and wait until its script says that every figure stands."""
         self.page.goto(path.as_uri())
-        self.page.wait_for_selector("html[data-figures=drawn]", timeout=20_000)
+        self.page.wait_for_selector("html[data-figures=drawn]", timeout=60_000)
         return self.page

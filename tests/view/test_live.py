@@ -33,22 +33,22 @@ def test_rows_are_shown_until_the_viewer_dies_and_counted_after() -> None:
         view = LiveView(RIG, url=f"rerun+http://127.0.0.1:{port}/proxy")
         for i in range(200):
             view.append(row(i))
-        limit = time.monotonic() + 15.0
+        limit = time.monotonic() + 30.0
         while view.shown < 200 and time.monotonic() < limit:
             time.sleep(0.02)
         assert (view.shown, view.dropped, view.failure) == (200, 0, None)
         server.kill()
         server.wait()
-        slowest = 0.0
+        taken = []
         for i in range(200, 800):
             begun = time.perf_counter()
             view.append(row(i))
-            slowest = max(slowest, time.perf_counter() - begun)
+            taken.append(time.perf_counter() - begun)
             time.sleep(0.002)
         view.close()
         assert view.shown + view.dropped == 800 and view.dropped > 300
         assert view.failure is not None
-        assert slowest < 0.1
+        assert sorted(taken)[570] < 1e-3        # 95 % of them; a busy machine may interrupt the rest
     finally:
         server.kill()
         server.wait()

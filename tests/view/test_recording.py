@@ -12,7 +12,7 @@ import pytest
 
 from station.errors import WorkError
 from station.model.simulate import simulate
-from station.rig import load_rig
+from station.rig import Rig, load_rig
 from station.runs.run import Run, RunMetadata
 from station.view import arm, viewer
 from station.view.events import find_events
@@ -88,6 +88,19 @@ def test_a_bare_run_stands_beside_the_nominal_simulation(tmp_path: Path) -> None
     write_recording(path, [made.comparisons()[0].run], RIG)
     found = chunks(path)
     assert "/run_1/angle/nominal" in found and "/run_1/angle/extended" not in found
+
+
+def test_a_rigid_axis_without_accelerometer_is_drawn_straight(tmp_path: Path) -> None:
+    axis = Rig.from_toml("""name = "axis"
+sample_rate = 500.0
+amplifier = { limit = 200.0 }
+motor = { inertia = 0.01, damping = 0.1, gain = 0.01 }
+encoder = { counts_per_revolution = 1024 }""")
+    bare = replace(made.comparisons()[0].run, accel=None)
+    path = tmp_path / "axis.rrd"
+    write_recording(path, [bare], axis)
+    found = chunks(path)
+    assert "/run_1/arm/nominal/beam" in found and "/run_1/acceleration/measured" not in found
 
 
 def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:

@@ -31,7 +31,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def until(page: Any, question: str) -> None:
     """Wait for a condition, asked from outside: the page's own policy forbids waiting inside it."""
-    for _ in range(100):
+    for _ in range(400):
         if page.evaluate(question):
             return
         page.wait_for_timeout(50)
@@ -86,7 +86,7 @@ def test_hover_tells_values_and_the_legend_hides_a_line(browser: Any, report: Pa
     page = Watched(browser, viewport=DESK).open(report)
     box = page.query_selector("#figure-hero .nsewdrag").bounding_box()
     page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-    page.wait_for_selector("#figure-hero .hoverlayer .legendtext, #figure-hero .hoverlayer text", timeout=3000)
+    page.wait_for_selector("#figure-hero .hoverlayer .legendtext, #figure-hero .hoverlayer text", timeout=20_000)
     shown = page.eval_on_selector("#figure-hero .hoverlayer", "e => e.textContent")
     assert "measured" in shown and "before" in shown
     entry = page.query_selector("#figure-hero .legend .traces:has-text('before') .legendtoggle").bounding_box()

@@ -26,6 +26,10 @@ def test_an_interval_decides_how_many_digits_a_value_shows() -> None:
     assert wording.interval(Estimate(value=0.12345, low=0.05, high=0.5, unit="")) == "0.12 (0.050 to 0.50)"
 
 
+def test_a_fraction_beyond_one_is_all() -> None:
+    assert [wording.explained(f) for f in (1.02, 0.93, -0.1)] == ["all", "93 %", "none"]
+
+
 def test_odds_never_claim_certainty() -> None:
     assert wording.probability(0.99999) == "> 99.9 %"
     assert wording.probability(1e-9) == "< 0.1 %"
@@ -64,6 +68,7 @@ def test_a_candidate_without_a_note_loses_by_its_numbers() -> None:
     assert "does not help" in wording.why_lost(RankedCause("b", "motor", 0.01, 400.0, -0.1, {}), first, False)
     assert "100 below" in wording.why_lost(RankedCause("b", "motor", 0.01, 400.0, 0.1, {}), first, False)
     assert wording.why_lost(first, first, True) == "named as a cause"
+    assert wording.why_lost(first, first, False) == "first, but not named by this verdict"
 
 
 def test_the_terminal_shows_hostile_names_as_text() -> None:
