@@ -65,7 +65,8 @@ class Identity:
 
 
 class Client:
-    """Speaks with the device at a port.  ``session`` is 0 unless a run is on.
+    """Speaks with the device at a port.  ``session`` is 0 unless a run is on; ``paced``: the device's ticks follow
+    the wall clock.
 
     Every method raises WorkError, one line that names the port, where the device does not answer or refuses.
     """
@@ -75,18 +76,20 @@ class Client:
         self.decoder = Decoder()
         self.inbox: deque[bytes] = deque()
         self.session = self.last_session = 0
+        self.paced = True
+        self._tries = 0
         self._challenge = 0
 
-    def send(self, name: str, **values: Any) -> None:
-        """Send one message of scope "link"."""
-        self.port.write(encode(MESSAGES[name].pack(**values)))
+    def _request(self, name: str, answer: str, before: bytes = b"", **values: Any) -> Any:
+        """Send until the answer comes; other frames that come meanwhile are kept in ``inbox``.
 
-    def _request(self, name: str, answer: str, **values: Any) -> Any:
-        """Send until the answer comes; other frames that come meanwhile are kept in ``inbox``."""
+        ``before``: bytes sent together with it.
+        """
         wanted, code = MESSAGES[answer], MESSAGES[name].code
+        frame = encode(MESSAGES[name].pack(**values))
         seen = 0
-        for _ in range(TRIES):
-            self.send(name, **values)
+        for self._tries in range(1, TRIES + 1):
+            self.port.write(before + frame)
             waited = 0.0
             while waited < ANSWER_SECONDS:
                 data = self.port.read_waiting()
@@ -140,10 +143,15 @@ class Client:
         Takes the device to idle, motor at zero, should a run of another host be on.
         """
         self.session = self.decoder.session = 0
-        self.inbox.clear()
-        self.port.write(b"\0")
-        found = self._request("identify", "identity", version=PROTOCOL.version, hash=PROTOCOL.hash)
+        found = self._request("identify", "identity", b"\0", version=PROTOCOL.version, hash=PROTOCOL.hash)
+        while self._tries > 1 and (data := self.port.read_waiting()):
+            self.inbox.extend(self.decoder.feed(data))
+        for body in self.inbox:  # each try is answered, and the last answer counts
+            if body[0] == _IDENTITY and len(body) == MESSAGES["identity"].body_size:
+                found = MESSAGES["identity"].unpack(body)
+        self.inbox.clear()  # the rest is of an earlier connection
         self._challenge = found.challenge
+        self.paced = not found.flags & BoardFlags.VIRTUAL_TIME
         return Identity(found.board, found.build, found.boot, found.zeroings, found.clock_hz,
                         found.rate_min / 1000.0, found.rate_max / 1000.0, found.command_limit,
                         bool(found.flags & BoardFlags.VIRTUAL_TIME), found.reset, State(found.state))
@@ -170,21 +178,16 @@ class Client:
                             f"it is {state_words(reply.state, reply.fault)}")
         return self.session
 
-    def stop(self) -> None:
-        """End the session, motor at zero."""
-        self._request("stop", "reply")
-        self.session = self.decoder.session = 0
-
     def halt(self, next_index: int | None = None) -> bool:
         """Motor to zero and stop, on every way out: never raises for the line; whether the device confirmed."""
         try:
             zero = b""
             if self.session and next_index is not None:
                 zero = encode(MESSAGES["command"].pack(index=next_index & 0xFFFF, command=0), self.session)
-            self.port.write(zero + encode(MESSAGES["stop"].pack()))
-            self.stop()
+            self._request("stop", "reply", zero)
         except WorkError:
             return False
+        self.session = self.decoder.session = 0
         return True
 
     def clear(self) -> None:

@@ -107,8 +107,8 @@ class Link(Protocol):
 def run_device(device: SimulatedDevice, link: Link, stop: threading.Event) -> None:
     """Serve a device at a link until ``stop``: ticks at absolute deadlines, or (speed 0) as soon as it is answered.
 
-    A tick that begins more than 0.1 ms late says so in its sample.  When a whole period was missed the schedule
-    starts again from now: ticks are late, never crowded.
+    A tick that begins more than 0.1 ms late says so in its sample; the next one is due at its own deadline all the
+    same.  Where a whole period was missed the schedule starts again from now: missed ticks are not made up for.
     """
     clock = time.perf_counter
     begun = clock()

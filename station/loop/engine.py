@@ -4,8 +4,10 @@ through ``run_session``, so that the motor's zero on every way out stands in one
 from __future__ import annotations
 
 import gc
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 
 from station.device.client import Client, state_words
@@ -16,6 +18,8 @@ from station.errors import WorkError
 
 SILENCE_SECONDS = 0.5
 """A device silent for so long is lost."""
+SWITCH_SECONDS = 1e-4
+"""Python's thread switch interval in a session in real time (5 ms otherwise: longer than a period)."""
 _SAMPLE, _COMMAND, _FAULT = MESSAGES["sample"], MESSAGES["command"], MESSAGES["fault"]
 _MASK16 = 0xFFFF
 _NAN = float("nan")
@@ -63,6 +67,21 @@ Record = Callable[[int, int, int, int, int, int, float, float, float], None]
 written are NaN where something broke before the answer was out."""
 
 
+@contextmanager
+def _undisturbed(paced: bool) -> Iterator[None]:
+    """No garbage collection; where the device paces the loop, a log thread that gives way soon."""
+    collecting, interval = gc.isenabled(), sys.getswitchinterval()
+    gc.disable()
+    if paced:
+        sys.setswitchinterval(SWITCH_SECONDS)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(interval)
+        if collecting:
+            gc.enable()
+
+
 class Session:
     """A session on a device that is armed.  ``counts`` is filled in also where ``run`` raises."""
 
@@ -83,22 +102,20 @@ class Session:
         Whatever ends it (the last row, an exception, Ctrl-C, a lost line), the command 0 and a stop are sent; where
         they cannot be, the device's watchdog does the same.
         """
-        client, collecting = self.client, gc.isenabled()
+        client = self.client
         corrupt = client.decoder.corrupt
-        gc.disable()
-        try:
-            client.start()
-            self._loop()
-        finally:
+        with _undisturbed(client.paced):
             try:
-                confirmed = client.halt(self._unanswered)
+                client.start()
+                self._loop()
             finally:
-                self.counts.corrupt = client.decoder.corrupt - corrupt
-                self._count_left()
-                if collecting:
-                    gc.enable()
-            if confirmed:
-                self._ask_counters()
+                try:
+                    confirmed = client.halt(self._unanswered)
+                finally:
+                    self.counts.corrupt = client.decoder.corrupt - corrupt
+                    self._count_left()
+                if confirmed:
+                    self._ask_counters()
         return self.counts
 
     def _loop(self) -> None:

@@ -135,3 +135,46 @@ def test_refusals_are_told_in_words():
 def test_ports_are_listed_by_path():
     paths = [found.path for found in list_ports()]
     assert paths == sorted(paths)
+
+
+def test_what_an_earlier_connection_left_on_the_line_is_not_taken_for_an_answer(scripted):
+    identity = {field.name: b"" if field.text_size else 0 for field in MESSAGES["identity"].fields}
+    identity |= {"version": PROTOCOL.version, "hash": PROTOCOL.hash, "challenge": 9}
+    stale = (encode(MESSAGES["fault"].pack(fault=1, index=3))
+             + encode(MESSAGES["reply"].pack(request=MESSAGES["stop"].code, result=0, state=0, fault=0, status=0,
+                                             encoder=0)))
+    client = Client(scripted(lambda data: stale + encode(MESSAGES["identity"].pack(**identity))))
+    client.identify()
+    assert not client.inbox
+
+
+def test_of_several_identities_the_last_ones_challenge_counts(scripted):
+    """A board that was not ready answers every identify that was sent meanwhile."""
+    asked = []
+
+    def answer(data):
+        asked.append(data)
+        values = {field.name: b"" if field.text_size else 0 for field in MESSAGES["identity"].fields}
+        values |= {"version": PROTOCOL.version, "hash": PROTOCOL.hash}
+        if len(asked) < 3:
+            return b""
+        return b"".join(encode(MESSAGES["identity"].pack(**values | {"challenge": n + 1})) for n in range(len(asked)))
+
+    client = Client(scripted(answer))
+    client.identify()
+    assert client._challenge == 3
+
+
+def test_a_stop_that_is_not_answered_is_sent_again(scripted):
+    answers = iter([b"", b"", encode(MESSAGES["reply"].pack(request=MESSAGES["stop"].code, result=0, state=0, fault=0,
+                                                            status=0, encoder=0))])
+    port = scripted(lambda data: next(answers))
+    assert Client(port).halt()
+    assert port.serial.written == encode(MESSAGES["stop"].pack()) * 3
+
+
+def test_a_stop_on_a_lost_line_is_no_error(scripted):
+    port = scripted(lambda data: b"")
+    assert not Client(port).halt()
+    port.serial.gone = True
+    assert not Client(port).halt()

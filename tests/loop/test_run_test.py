@@ -1,11 +1,15 @@
 """A test through the real loop: rows, conventions, metadata."""
 
+import contextlib
+import gc
+import sys
+
 import numpy as np
 import pytest
 
 from station.control.references import reference_from_test
 from station.device.port import open_port
-from station.device.protocol import Status
+from station.device.protocol import State, Status
 from station.errors import UsageError, WorkError
 from station.model.simulate import simulate
 from station.runs.columns import LOG_COLUMNS
@@ -164,3 +168,35 @@ def test_every_kind_of_test_runs(rows):
         reference = reference_from_test(test, 500.0)
         result = rows.test_at("sim://sflr", {"kind": "p", "gain": 1.0}, reference=reference)
         assert result.counts.samples == len(reference)
+
+
+def test_in_real_time_every_tick_is_accounted_for(rows):
+    """A busy machine may be late, or fault the device; either way the figures add up."""
+    fault = None
+    with open_port("sim://sflr?speed=1") as port:
+        try:
+            rows.test(port, rows=300)
+        except WorkError as error:
+            fault = str(error)
+        core = port.serial.device.core
+        assert core.drive == 0
+        assert core.state == (State.IDLE if fault is None else State.FAULT)
+    run, counts = rows.run, rows.sinks[-1].metadata.model_extra["counts"]
+    assert fault is None or "in fault (host silent)" in fault
+    assert counts["lost"] == counts["corrupt"] == counts["duplicated"] == 0
+    assert counts["samples"] == len(run) == counts["device_samples"] - counts["after_stop"]
+    missed = (run.status & (Status.HELD | Status.ZEROED)) != 0
+    assert counts["unanswered"] == np.count_nonzero(missed)
+    assert np.array_equal(run.command[1:][~missed[1:]], run.command_sent[:-1][~missed[1:]])
+    assert run.metadata.model_extra["clock"] == "real"
+    assert np.all(np.diff(run.device_time) > 0.0)
+
+
+def test_the_interpreter_is_left_as_it_was(rows):
+    interval, seen = sys.getswitchinterval(), []
+    with contextlib.suppress(WorkError):  # a busy machine may fault the device
+        rows.test_at("sim://sflr?speed=1", rows=120,
+                     progress=lambda row, total: seen.append((gc.isenabled(), sys.getswitchinterval())))
+    assert seen[0] == (False, pytest.approx(1e-4))
+    assert gc.isenabled()
+    assert sys.getswitchinterval() == interval
