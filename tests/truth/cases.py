@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from station.runs.run import Run, RunMetadata
 
 from . import sizes
-from .rigs import SFLR, RigDict, draw_logs, own_sigma, shifted, uncertain_keys
+from .rigs import SFLR, RigDict, draw_logs, get_constant, own_sigma, shifted, uncertain_keys, with_constants
 from .simulate import CONTROLLERS, OUTSIDE, Effect, Output, Truth
 
 Array = NDArray[np.float64]
@@ -203,11 +203,12 @@ class Severity:
     """Chi squared that the best re-fitted rig without a cause loses against the rig with it, on the case's own data.
 
     `constants` is the drawn rig, `logs` and `commons` what it was drawn with (`draw_logs`), which the uncertainty
-    weighs; `others` are causes that both rigs have. Fitted without the cause, by Gauss-Newton from the true constants:
-    every uncertain constant and common factor under its uncertainty, each run's starting angle and accelerometer
-    offset freely. The same freedom, linearised, is granted with the cause; a parameter cause has its own uncertainty
-    set aside there. The fit sees outputs without rounding and noise; then both rigs, their loops rounding as the
-    station's do, are held against the rounded and noisy data. What hides below the rounding so counts for nothing.
+    weighs; `others` are causes that both rigs have. Fitted without the cause, by Gauss-Newton from the true constants,
+    a parameter cause's included: every uncertain constant and common factor under its uncertainty, each run's
+    starting angle and accelerometer offset freely. The same freedom, linearised, is granted with the cause; a
+    parameter cause has its own uncertainty set aside there. The fit sees outputs of loops without rounding and noise
+    (rounding inside a loop moves every rig at random); the rounding and noise of the case's own readings then join
+    both rigs' residuals, so that what hides below the rounding counts for nothing.
     """
 
     def __init__(
@@ -235,11 +236,8 @@ class Severity:
         self.y0 = self._model(self.start)
         self.s0 = self._slopes(self.start, self.y0)
 
-    def _model(self, z: Array, exact: bool = True) -> Array:
-        """Weighted unrounded outputs without the cause; z: constants in sigmas, angles in 0.01 rad, offsets in counts.
-
-        `exact` leaves rounding and noise out of the loops too.
-        """
+    def _model(self, z: Array) -> Array:
+        """Weighted outputs without the cause; z: constants in sigmas, angles in 0.01 rad, offsets in counts."""
         m, n = len(self.own), len(self.tests)
         moved = (z[:m] - self.z0) * self.own
         by_key = dict(zip(self.keys, moved, strict=False))
@@ -251,7 +249,7 @@ class Severity:
             replace(c, start_angle=c.start_angle + 0.01 * a, accel_offset=c.accel_offset + b)
             for c, a, b in zip(self.conditions, z[m : m + n], z[m + n :], strict=True)
         ]
-        outputs = simulate_case(shifted(self.constants, by_key), self.others, self.tests, around, exact=exact)
+        outputs = simulate_case(shifted(self.constants, by_key), self.others, self.tests, around, exact=True)
         return _weighted(outputs, around)
 
     def _slopes(self, z: Array, y: Array) -> Array:
@@ -279,10 +277,15 @@ class Severity:
         if not np.all(np.isfinite(truth)):
             return math.inf
         z, y, s = self.start, self.y0, self.s0
-        free = self.weight.copy()
+        with_z, with_s, free = z, s, self.weight
         name = cause["effect"].removeprefix("parameter:")
-        if name in self.keys:
-            free[self.keys.index(name)] = 0.0
+        if name in self.keys:  # the fit starts at the truth, which a constant that may move far enough could be
+            k = self.keys.index(name)
+            z, y = z.copy(), truth
+            z[k] += math.log(cause["value"] / get_constant(self.constants, name)) / self.own[k]
+            with_z, with_s, free = z, self._slopes(z, y), self.weight.copy()
+            free[k] = 0.0
+            s = with_s
 
         def objective(y: Array, z: Array) -> float:
             return float(np.sum((truth - y) ** 2) + np.sum((self.weight * z) ** 2))
@@ -304,10 +307,9 @@ class Severity:
             if gained < 0.02 * max(best, 5.0):
                 break
         outputs = simulate_case(self.constants, effects, self.tests, self.conditions)
-        data = _weighted(outputs, self.conditions, read=True)
-        noise = data - _weighted(outputs, self.conditions)
+        noise = _weighted(outputs, self.conditions, read=True) - _weighted(outputs, self.conditions)
         # Both rigs' constants at last make of the noise, and of nearness to nominal, what pays.
-        return _best(s, data - self._model(z, exact=False), self.weight, z) - _best(self.s0, noise, free, self.start)
+        return _best(s, truth - y + noise, self.weight, z) - _best(with_s, noise, free, with_z)
 
 
 def _least_squares(s: Array, residual: Array, weight: Array, z: Array) -> Array:
@@ -370,7 +372,13 @@ def make_case(
     """
     rng = np.random.default_rng([seed, 0x57A7])
     target = sizes.BANDS[band] if isinstance(band, str) else band
-    reason = "no rig behaved"
+    for name in (e for e in effects if isinstance(e, str) and e.startswith("parameter:")):
+        most = sizes.largest_parameter(name, nominal) ** 2
+        if target is not None and most < target[0]:
+            raise ValueError(
+                f"{name}: moved as far as is physical it costs its own uncertainty {most:.0f} of chi squared"
+            )
+    reason, unsized = "no rig behaved", 0
     for _ in range(40):
         own, common = draw_logs(nominal, None, rng, limit)
         rig = shifted(nominal, own, common)
@@ -389,6 +397,9 @@ def make_case(
             settled.append(effect[0])
             grades[f"{effect[0]['effect']}@{effect[0]['at']}"] = effect[1]
         if len(settled) < len(effects):
+            unsized += 1
+            if unsized == 8:
+                break
             continue
         conditions = _settle_conditions(rng, rig, settled, conditions)
         outputs = simulate_case(rig, settled, drawn_tests, conditions)
@@ -464,8 +475,13 @@ def _sized(
     if target is None:
         effect = sizes.scaled(shape, 1.0, rig, centre)
         return (effect, grade(effect)) if effect else None
-    goal = math.exp(rng.uniform(*(math.log(x) for x in target)))
     low, high, factor = None, None, 1.0
+    top = target[1]
+    if name.startswith("parameter:"):
+        top = max(min(top, 0.85 * sizes.largest_parameter(name, nominal) ** 2), target[0])
+    goal = math.exp(rng.uniform(math.log(target[0]), math.log(top)))
+    if name.startswith("parameter:"):  # severity is at most the squared distance in sigmas
+        factor = max(1.0, math.sqrt(1.1 * goal) / sizes.PARAMETER_SIGMAS)
     for _ in range(16):
         effect = sizes.scaled(shape, factor, rig, centre)
         value = grade(effect, 1) if effect else math.nan
@@ -478,9 +494,11 @@ def _sized(
         else:
             high = factor
         if low is None:
-            if name.startswith("parameter:"):
-                return None  # plainer than asked at the smallest size that is a cause, or not a workable rig
             factor = high / 3.0
+            if name.startswith("parameter:"):
+                factor = max(1.0, high / 1.4)
+                if high == 1.0:
+                    return None  # plainer than asked at the smallest size that is a cause, or not a workable rig
         elif high is None:
             factor = low * (1.3 if name.startswith("parameter:") else 3.0)
         else:
@@ -533,11 +551,12 @@ def _case(
                 host_time=out.t * ratio + late if clocked else None,
             )
         )
+    moved = {e["effect"].removeprefix("parameter:"): e["value"] for e in effects if ":" in e["effect"]}
     truth = {
         "seed": seed,
         "causes": [dict(e) for e in effects],
         "outside": [e["effect"] for e in effects if e["effect"] in OUTSIDE],
-        "constants": {k: v for k, v in rig.items() if k != "uncertainty"},
+        "constants": {k: v for k, v in with_constants(rig, moved).items() if k != "uncertainty"},
         "logs": own,
         "common": common,
         "severity": grades,

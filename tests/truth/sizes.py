@@ -17,10 +17,10 @@ from .simulate import CATALOGUE, OUTSIDE, Effect
 
 PARAMETER_SIGMAS = 4.2
 """A constant is a cause beyond 4 of its own sigma from nominal."""
-PARAMETER_FACTOR = 6.0
-"""Beyond this factor it would be another rig, except where 6 sigma are more."""
+PARAMETER_FACTOR = 25.0
+"""Beyond this factor, or beyond 18 sigma, it would be another rig; 6 sigma are always allowed."""
 
-BANDS = {"clear": (260.0, 20000.0), "subtle": (35.0, 170.0)}
+BANDS = {"clear": (230.0, 100000.0), "subtle": (35.0, 170.0)}
 """Severities that a case is sized for, inside the contract's clear > 200 and 25 to 200."""
 
 
@@ -177,6 +177,12 @@ def draw_effect(name: str, rng: np.random.Generator, rig: RigDict, at: str | Non
     return {"effect": name, "at": place, **p}
 
 
+def largest_parameter(name: str, rig: RigDict) -> float:
+    """How far, in its own sigmas, a parameter cause may move."""
+    sigma = own_sigma(rig["uncertainty"], name.removeprefix("parameter:"))
+    return max(min(math.log(PARAMETER_FACTOR) / sigma, 18.0), 6.0)
+
+
 _SIZE = {  # the parameters that grow with the size, and the largest value that is still physical
     "coulomb_friction": {"torque": math.inf},
     "stribeck_friction": {"static_torque": math.inf, "coulomb_torque": math.inf},
@@ -215,7 +221,7 @@ def scaled(effect: Effect, factor: float, rig: RigDict, centre: RigDict | None =
         base = centre or rig
         sigma = own_sigma(base["uncertainty"], key)
         size = PARAMETER_SIGMAS * factor * sigma
-        if factor < 1.0 or size > max(math.log(PARAMETER_FACTOR), 6.0 * sigma):
+        if factor < 1.0 or size > largest_parameter(name, base) * sigma:
             return None
         out["value"] = get_constant(base, key) * math.exp(effect["_sign"] * size)
         return out
