@@ -1,5 +1,402 @@
-"""Pictures specific to a cause."""
+"""Pictures specific to a cause: what was measured once the cause is taken out, and the fitted law drawn through it.
+
+Points never know the law: torques are smoothed from the run with nothing assumed (station.diagnose.missing), ratios
+are measured over simulated channels.  The rig that they are taken against is the extended rig without the one cause,
+so that other causes do not blur the picture; the sceptic's view at the end is against the re-fitted rig alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy import signal
+
+from station.diagnose.missing import (
+    MissingTorque,
+    joint_torque,
+    law_values,
+    missing_torque,
+    rest_start,
+)
+from station.diagnose.result import Evidence
+from station.model.effects import Effect, Stage, catalogue
+from station.model.simulate import Simulation, build, simulate_model
+from station.rig import Rig
+from station.runs.run import Run, RunMetadata
+
+POINTS = 2000
+"""Most points in a picture."""
+BANDS = 40
+COHERENCE = 0.7
+"""Share of a band's power that must follow the simulated channel for the band to be drawn."""
+_DELAYS = (Stage.INPUT_DELAY, Stage.ENCODER_DELAY, Stage.ACCEL_DELAY)
 
 
-def evidence(rig, extended_rig, runs, causes):
-    return []
+class _Cause(NamedTuple):
+    """A cause, the extended rig that holds it, the same rig without it, and the runs."""
+
+    title: str
+    effect: Effect | None
+    at: str
+    extended: Rig
+    without: Rig
+    runs: list[Run]
+
+
+def evidence(rig: Rig, extended_rig: Rig, runs: Sequence[Run], causes: Sequence[tuple[str, str]]) -> list[Evidence]:
+    """The pictures of each cause (effect or "parameter:TABLE.KEY", at), then the sceptic's view of the worst run.
+
+    ``rig``: re-fitted without any cause; ``extended_rig``: with all.  A cause that the extended rig does not hold is
+    passed over.  Without causes the whole sceptic's view is given: the torque that is missing at the motor against
+    time, speed, angle, command and frequency.
+    """
+    runs, found = list(runs), []
+    for name, at in causes:
+        cause = _cause(rig, extended_rig, runs, name, at)
+        if cause is not None:
+            found += _pictures(cause)
+    estimates = [(missing_torque(rig, run), run) for run in runs]
+    worst, run = max(estimates, key=lambda pair: float(np.mean(pair[0].torque ** 2)), default=(None, None))
+    if worst is not None and run is not None:
+        found += sceptics_view(worst, run, "motor")[: 1 if found else None]
+    return found
+
+
+def sceptics_view(found: MissingTorque, run: Run, at: str) -> list[Evidence]:
+    """One run's missing torque against time, speed, angle, command and frequency, no law assumed."""
+    what, unit, angle, speed = ((f"torque missing at the {at}", "N m", "angle (rad)", "speed (rad/s)") if at != "tip"
+                                else ("force missing at the tip", "N", "position (m)", "speed (m/s)"))
+    upper = what[0].upper() + what[1:]
+    note = (f"Run {run.name}. Nothing is assumed but the rig without any cause: the {what} is a random walk, smoothed "
+            f"from command, encoder and accelerometer; its standard deviation is {np.median(found.sigma):.2g} {unit}. "
+            "Jumps are rounded by the smoothing; what is wrong elsewhere in the rig shows here too.")
+    views = [_thin(f"{upper}, against time", "time", "time (s)", f"{what} ({unit})", found.t, found.torque, note=note)]
+    for kind, label, x in (("speed", f"{at} {speed}", found.speed), ("angle", f"{at} {angle}", found.angle),
+                           ("command", "command (counts)", found.command)):
+        views.append(_thin(f"{upper}, against {kind}", kind, label, f"{what} ({unit})", x, found.torque, note=note))
+    rate = 1.0 / (found.t[1] - found.t[0])
+    frequency, density = signal.welch(found.torque, rate, nperseg=min(512, len(found.t)))
+    shown = (frequency > 0.0) & (frequency < 0.25 * rate)
+    views.append(_thin(f"{upper}, against frequency", "spectrum", "frequency (Hz)", f"{what} ({unit}/√Hz)",
+                       frequency[shown], np.sqrt(density[shown]), note=note))
+    return views
+
+
+def _cause(rig: Rig, extended: Rig, runs: list[Run], name: str, at: str) -> _Cause | None:
+    if name.startswith("parameter:"):
+        path = name.removeprefix("parameter:")
+        if path not in rig.constants() or path not in extended.constants():
+            return None
+        return _Cause(path, None, at, extended, extended.with_constants({path: rig.constants()[path]}), runs)
+    held = [e for e in extended.effects if (e.name, e.at) == (name, at)]
+    if not held:
+        return None
+    rest = [e for e in extended.effects if e is not held[0]]
+    if held[0].absolute is not None:
+        runs = [r for i, r in enumerate(runs) if i == 0 or r.metadata.zero_id and r.metadata.zero_id
+                == runs[0].metadata.zero_id]
+    title = catalogue()[name].title or name if name in catalogue() else name
+    return _Cause(title, held[0], at, extended, extended.with_effects(rest), runs)
+
+
+def _pictures(cause: _Cause) -> list[Evidence]:
+    """Choose by the effect's own ``picture`` and by the stage at which it acts."""
+    effect = cause.effect
+    if effect is None:
+        return _frequency(cause, ("gain",))
+    torque = effect.stage in (Stage.TORQUE, Stage.FRICTION)
+    if effect.stage is Stage.CLOCK:
+        return _clock(cause) + _frequency(cause, ("gain",))
+    if effect.stage in _DELAYS or effect.picture == "frequency" and effect.stage is Stage.COMMAND:
+        return _frequency(cause, ("phase",))
+    if effect.stage is Stage.ACCEL_FILTER:
+        return _frequency(cause, ("gain", "phase"))
+    if effect.stage is Stage.ACCEL_INPUT:
+        return _centripetal(cause)
+    if effect.stage is Stage.ACCEL_COUNTS:
+        return _readings(cause)
+    if effect.stage is Stage.ENCODER:
+        return _eccentricity(cause)
+    if effect.stage in (Stage.GAP, Stage.SPRING):
+        return _joint(cause)
+    if effect.stage is Stage.COMMAND:
+        return _command(cause)
+    if torque and effect.at == "drive":
+        return _load(cause)
+    if torque and effect.picture in ("speed", "angle"):
+        return _torque(cause)
+    return _torque_in_time(cause)
+
+
+def _thin(title: str, kind: str, xlabel: str, ylabel: str, x: np.ndarray, y: np.ndarray,
+          law: tuple[np.ndarray, np.ndarray] | None = None, note: str = "") -> Evidence:
+    """A picture of at most POINTS points."""
+    every = slice(None, None, max(-(-len(x) // POINTS), 1))
+    return Evidence(title, kind, xlabel, ylabel, np.asarray(x)[every], np.asarray(y)[every],
+                    None if law is None else law[0], None if law is None else law[1], note)
+
+
+def _estimates(cause: _Cause, at: str, accelerometer: bool = True) -> list[MissingTorque]:
+    return [missing_torque(cause.without, run, at, accelerometer=accelerometer) for run in cause.runs]
+
+
+def _joined(found: Sequence[MissingTorque], pick: Callable[[MissingTorque], np.ndarray]) -> np.ndarray:
+    return np.concatenate([pick(m) for m in found])
+
+
+def _torque_note(cause: _Cause, found: Sequence[MissingTorque]) -> str:
+    return (f"Points: torque smoothed from {_count(cause.runs)} against the extended rig without this effect, its "
+            f"shape not assumed; standard deviation {np.median(_joined(found, lambda m: m.sigma)):.2g} N m, jumps "
+            "rounded. Line: the fitted law.")
+
+
+def _count(runs: Sequence[Run]) -> str:
+    return "1 run" if len(runs) == 1 else f"{len(runs)} runs"
+
+
+def _grid(x: np.ndarray) -> np.ndarray:
+    """400 places over the range of x, and both sides of 0."""
+    low, high = float(np.min(x)), float(np.max(x))
+    grid = np.linspace(low, high, 400)
+    tiny = 1e-9 * max(abs(low), abs(high), 1e-9)
+    return np.sort(np.concatenate([grid, [-tiny, tiny]])) if low < 0.0 < high else grid
+
+
+def _torque(cause: _Cause) -> list[Evidence]:
+    """Missing torque at a part against its speed or angle."""
+    effect = cause.effect
+    assert effect is not None
+    found = _estimates(cause, effect.at)
+    by_speed = effect.picture == "speed"
+    x = _joined(found, lambda m: m.speed if by_speed else m.angle)
+    grid, law = _grid(x), None
+    if not effect.states:
+        if effect.stage is Stage.FRICTION:
+            law = grid, -np.sign(grid) * law_values(cause.extended, effect, np.abs(grid))
+        else:
+            law = grid, law_values(cause.extended, effect, *((0.0, grid) if by_speed else (grid, 0.0)))
+    label = f"{effect.at} speed (rad/s)" if by_speed else f"{effect.at} angle (rad)"
+    return [_thin(f"Torque missing at the {effect.at}, against its {effect.picture}: {cause.title}", effect.picture,
+                  label, "missing torque (N m)", x, _joined(found, lambda m: m.torque), law,
+                  _torque_note(cause, found))]
+
+
+def _torque_in_time(cause: _Cause) -> list[Evidence]:
+    """Missing torque at the effect's part against time, where the effect names no better picture."""
+    at = cause.at if cause.at in ("motor", "base", "drive", "clamp") else "motor"
+    found = _estimates(cause, at)
+    worst = max(found, key=lambda m: float(np.mean(m.torque**2)))
+    note = _torque_note(cause, found).replace(" Line: the fitted law.", " The run that misses most.")
+    return [_thin(f"Torque missing at the {at}, against time: {cause.title}", "time", "time (s)",
+                  "missing torque (N m)", worst.t, worst.torque, note=note)]
+
+
+def _load(cause: _Cause) -> list[Evidence]:
+    """Friction in proportion to load: what opposes the motor's motion against the torque in the drive."""
+    effect = cause.effect
+    assert effect is not None
+    found = _estimates(cause, "motor")
+    speed, load = _joined(found, lambda m: m.speed), np.abs(_joined(found, lambda m: m.drive_torque))
+    moving = np.abs(speed) > 0.02 * np.max(np.abs(speed))
+    grid = _grid(load)
+    law = None if effect.states else (grid, law_values(cause.extended, effect, 1.0, 0.0, grid))
+    return [_thin(f"Torque that opposes the motor, against the drive's torque: {cause.title}", "load",
+                  "size of the drive's torque (N m)", "torque missing against the motion (N m)", load[moving],
+                  (-np.sign(speed) * _joined(found, lambda m: m.torque))[moving], law,
+                  _torque_note(cause, found) + " Rows at rest are left out.")]
+
+
+def _joint(cause: _Cause) -> list[Evidence]:
+    """Torque of the drive or clamp without its damper against its wind-up."""
+    at, h = cause.at, cause.extended.period
+    found = _estimates(cause, at)
+    angle, speed = _joined(found, lambda m: m.angle), _joined(found, lambda m: m.speed)
+    total = joint_torque(cause.without, at, angle, speed, h) - _joined(found, lambda m: m.torque)
+    grid, still = _grid(angle), np.zeros(len(angle))
+    gap = sum(e.values().get("gap", 0.0) for e in cause.extended.effects if e.stage is Stage.GAP and e.at == at)
+    damper = getattr(cause.extended, at).damping * speed * (np.abs(angle) > 0.5 * gap if gap else 1.0)
+    law = grid, joint_torque(cause.extended, at, grid, still[:1].repeat(len(grid)), h)
+    sides = "motor - base" if at == "drive" else "base - beam root"
+    return [_thin(f"Torque of the {at} against its wind-up: {cause.title}", "deflection", f"{sides} (rad)",
+                  f"torque of the {at} less its damper (N m)", angle, total - damper, law,
+                  f"Points: spring and damper of the {at} plus what is missing there, smoothed from "
+                  f"{_count(cause.runs)}; the damper's part is taken off{', outside the fitted gap' if gap else ''}. "
+                  "Line: the fitted law.")]
+
+
+def _chain(rig: Rig, command: np.ndarray) -> np.ndarray:
+    """The static part of the amplifier's chain."""
+    out = np.clip(command, -rig.amplifier.limit, rig.amplifier.limit)
+    for effect in sorted((e for e in rig.effects if e.stage is Stage.COMMAND and not e.states), key=lambda e: e.order):
+        out = law_values(rig, effect, out, 0.0, rig.amplifier.limit)
+    return out
+
+
+def _command(cause: _Cause) -> list[Evidence]:
+    """Missing torque at the motor, in counts, against the command."""
+    found = _estimates(cause, "motor")
+    late = sum(e.values()["time"] for e in cause.without.effects if e.stage is Stage.INPUT_DELAY)
+    command = _joined(found, lambda m: np.interp(m.t - late, m.t, m.command, left=0.0))
+    grid = _grid(command)
+    law = grid, _chain(cause.extended, grid) - _chain(cause.without, grid)
+    return [_thin(f"Command that is missing, against the command: {cause.title}", "command", "command (counts)",
+                  "missing torque over motor gain (counts)", command,
+                  _joined(found, lambda m: m.torque) / cause.extended.motor.gain, law,
+                  _torque_note(cause, found).replace("Line: the fitted law.",
+                                                     "Line: what the fitted chain adds to the command."))]
+
+
+def _command_driven(rig: Rig, run: Run) -> Simulation:
+    """The run's logged command through the rig; the right comparison for a sensor, closed loop or not."""
+    start, offset = rest_start(rig, run)
+    alone = replace(run, metadata=RunMetadata(start=run.metadata.start))
+    return simulate_model(build(rig), alone, rounding=False, start_angle=start, accel_offset=offset)
+
+
+def _readings(cause: _Cause) -> list[Evidence]:
+    """Measured against simulated accelerometer."""
+    effect = cause.effect
+    assert effect is not None
+    runs = [run for run in cause.runs if run.accel is not None]
+    x = np.concatenate([_command_driven(cause.without, run).accel for run in runs])
+    grid = _grid(x)
+    law = None if effect.states else (grid, law_values(cause.extended, effect, grid))
+    return [_thin(f"Accelerometer, measured against simulated: {cause.title}", "acceleration",
+                  "simulated without the effect (counts)", "measured (counts)", x,
+                  np.concatenate([run.accel for run in runs]), law,
+                  f"Points: {_count(runs)}, simulated from the logged command. Line: the fitted law; without the "
+                  "effect points would lie on the diagonal.")]
+
+
+def _centripetal(cause: _Cause) -> list[Evidence]:
+    """What the accelerometer reads too much, against the base's speed squared."""
+    effect, rig = cause.effect, cause.extended
+    assert effect is not None and rig.accelerometer is not None and rig.beam is not None
+    runs = [run for run in cause.runs if run.accel is not None]
+    speed = _joined([missing_torque(cause.without, run, accelerometer=False) for run in runs], lambda m: m.base_speed)
+    y = np.concatenate([run.accel - _command_driven(cause.without, run).accel for run in runs])
+    grid = np.linspace(0.0, float(np.max(np.abs(speed))), 200)
+    law = None if effect.states else (grid**2, law_values(rig, effect, grid, 0.0, rig.beam.length))
+    return [_thin(f"Acceleration read beyond the simulated, against speed squared: {cause.title}", "speed",
+                  "base speed squared (rad²/s²)", "measured - simulated (m/s²)", speed**2, y / rig.accelerometer.gain,
+                  law, f"Points: {_count(runs)}; the speed is smoothed from command and encoder, the acceleration "
+                  "simulated from the logged command. Line: the fitted law.")]
+
+
+def _eccentricity(cause: _Cause) -> list[Evidence]:
+    """The encoder's error against the angle: the fit's residual with this effect's own part put back."""
+    effect, x, y = cause.effect, [], []
+    assert effect is not None
+    model = build(cause.extended)
+    for run in cause.runs:
+        start, offset = rest_start(cause.extended, run)
+        reading = simulate_model(model, run, rounding=False, start_angle=start, accel_offset=offset).encoder
+        angle = reading * cause.extended.angle_per_count
+        x.append(angle)
+        y.append(run.encoder - reading + law_values(cause.extended, effect, angle))
+    angle = np.concatenate(x)
+    grid = _grid(angle)
+    return [_thin(f"Error of the encoder, against the angle: {cause.title}", "angle", "base angle (rad)",
+                  "encoder error (counts)", angle, np.concatenate(y), (grid, law_values(cause.extended, effect, grid)),
+                  f"Points: measured minus simulated, {_count(cause.runs)}, with this effect's fitted part put back (a "
+                  "partial residual: the angle comes from the extended rig, it cannot come from the encoder that is in "
+                  "doubt). Line: the fitted law.")]
+
+
+def _clock(cause: _Cause) -> list[Evidence]:
+    """Host clock against device clock, where a run holds both."""
+    timed = [run for run in cause.runs if run.host_time is not None and run.device_time is not None]
+    if not timed or cause.effect is None:
+        return []
+    run = max(timed, key=len)
+    device = run.device_time - run.device_time[0]
+    drift = run.host_time - run.host_time[0] - device
+    slope = math.prod(e.values()["ratio"] for e in cause.extended.effects if e.stage is Stage.CLOCK) - 1.0
+    grid = np.array([0.0, device[-1]])
+    return [_thin(f"Host clock minus device clock: {cause.title}", "time", "device time (s)", "drift (ms)", device,
+                  1e3 * drift, (grid, 1e3 * slope * grid),
+                  f"Run {run.name}. Line: the fitted ratio; latency of single samples shows as scatter above it.")]
+
+
+def _frequency(cause: _Cause, quantities: tuple[str, ...]) -> list[Evidence]:
+    """Measured over simulated response against frequency, in the channel on which the cause bears most."""
+    best, most = None, -1.0
+    for channel in ("encoder", "accel"):
+        if channel == "accel" and (cause.extended.accelerometer is None or any(r.accel is None for r in cause.runs)):
+            continue
+        pairs = [(_moves(getattr(_command_driven(cause.without, run), channel), channel),
+                  _moves(getattr(_command_driven(cause.extended, run), channel), channel),
+                  _moves(getattr(run, channel), channel)) for run in cause.runs]
+        rate = cause.extended.sample_rate
+        frequency, measured, coherence = _transfer([(a, c) for a, _, c in pairs], rate)
+        _, law, _ = _transfer([(a, b) for a, b, _ in pairs], rate)
+        clear = coherence >= COHERENCE
+        weight = float(np.sum(np.abs(law[clear] - 1.0)))
+        if weight > most and clear.sum() >= 3:
+            best, most = (channel, frequency[clear], measured[clear], law[clear]), weight
+    if best is None:
+        return []
+    channel, frequency, measured, law = best
+    sensor = {"encoder": "angle", "accel": "acceleration"}[channel]
+    pictures = []
+    for quantity in quantities:
+        if quantity == "gain":
+            label, y, line = "measured over simulated (dB)", _decibel(measured), _decibel(law)
+            how = "Line: the extended rig over the same, estimated alike."
+        else:
+            label, y, line = "measured behind simulated (degrees)", _degrees(measured), _degrees(law)
+            how = "Line: the extended rig over the same, estimated alike."
+            if cause.effect is not None and cause.effect.stage in _DELAYS:
+                line = -360.0 * frequency * next(iter(cause.effect.values().values()))
+                how = "Line: -360 degrees times frequency times the fitted delay."
+        word = "Phase" if quantity == "phase" else "Size"
+        pictures.append(Evidence(
+            f"{word} of the measured {sensor} against the simulated, over frequency: {cause.title}", "frequency",
+            "frequency (Hz)", label, frequency, y, frequency, line,
+            f"Points: cross over power spectra of {_count(cause.runs)}, simulated from the logged command without "
+            f"this cause; bands whose coherence is below {COHERENCE} are left out. {how}"))
+    return pictures
+
+
+def _moves(values: np.ndarray, channel: str) -> np.ndarray:
+    """The angle by its changes, so that drift of an open integrator does not swamp it; the acceleration as it is."""
+    return np.diff(values) if channel == "encoder" else values - values[0]
+
+
+def _decibel(ratio: np.ndarray) -> np.ndarray:
+    return 20.0 * np.log10(np.maximum(np.abs(ratio), 1e-6))
+
+
+def _degrees(ratio: np.ndarray) -> np.ndarray:
+    return np.degrees(np.unwrap(np.angle(ratio)))
+
+
+def _transfer(pairs: Sequence[tuple[np.ndarray, np.ndarray]], rate: float) -> tuple[np.ndarray, ...]:
+    """Frequencies (Hz), transfer function H1 = Sxy/Sxx and coherence in logarithmic bands, summed over pairs (x, y).
+
+    Whole runs are transformed at once: most begin and end at rest, and a moving window would cut their transients.
+    """
+    longest = max(len(x) for x, _ in pairs)
+    sums = np.zeros((3, longest // 2 + 1), dtype=complex)
+    for x, y in pairs:
+        for row, (a, b) in enumerate(((x, x), (x, y), (y, y))):
+            frequency, spectrum = signal.csd(a, b, rate, window=("tukey", 0.1), nperseg=len(x), nfft=longest,
+                                             detrend=False)
+            sums[row] += spectrum * len(x)
+    edges = np.geomspace(max(2.0 * rate / longest, 0.3), 0.3 * rate, BANDS + 1)
+    which = np.digitize(frequency, edges)
+    rows = []
+    for band in range(1, BANDS + 1):
+        inside = which == band
+        if np.count_nonzero(inside) < 3 or not sums[0, inside].real.sum() > 0.0:
+            continue
+        xx, xy, yy = sums[:, inside].sum(axis=1)
+        power = np.abs(sums[0, inside])
+        rows.append((np.sum(power * frequency[inside]) / power.sum(), xy / xx,
+                     abs(xy) ** 2 / max(xx.real * yy.real, 1e-300)))
+    frequencies, ratio, coherence = (np.array(column) for column in zip(*rows, strict=True))
+    return frequencies.real, ratio, coherence.real

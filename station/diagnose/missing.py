@@ -36,7 +36,7 @@ SIZES = np.geomspace(1e-4, 1.0, 9)
 """Steps of the random walk that are tried first, of the motor's largest torque per sample."""
 WANDER = 0.01
 """Step of the accelerometer's offset, counts per sample."""
-SETTLED = 1e-6
+SETTLED = 1e-3
 """Relative change per row below which a covariance counts as settled."""
 REST_ROWS = 20
 NEWTON = 8
@@ -62,7 +62,8 @@ class MissingTorque:
     command: np.ndarray
     """Counts, as logged."""
     base_speed: np.ndarray
-    """rad/s."""
+    drive_torque: np.ndarray
+    """What the drive carries with the effects that the rig holds, N m; 0 without a drive."""
     step: float
     """The likeliest step of the random walk per sample, N m (N)."""
 
@@ -108,8 +109,9 @@ def missing_torque(rig: Rig, run: Run, at: str = "motor", *, accelerometer: bool
     port = port_vector(rig, parts, at)
     use_accel = (accelerometer and rig.accelerometer is not None and run.accel is not None
                  and not any(e.stage in _ACCEL_PATH for e in rig.effects))
-    simulated, driven = _driven(model, run)
-    measured = [_true_encoder(rig, run.encoder, period)] + ([run.accel] if use_accel else [])
+    start, offset = rest_start(rig, run)
+    simulated, driven = _driven(model, run, start, offset)
+    measured = [true_encoder(rig, run.encoder)] + ([run.accel] if use_accel else [])
     excess = np.stack([m - s for m, s in zip(measured, simulated, strict=False)], axis=1)
     scale = torque_scale(rig) / (rig.beam.length if at == "tip" and rig.beam else 1.0)
     system = _system(rig, parts, form, port, run, period, use_accel)
@@ -125,7 +127,8 @@ def missing_torque(rig: Rig, run: Run, at: str = "motor", *, accelerometer: bool
         if laws:
             known, forcing, seen = _known(rig, parts, form, laws, motion, known, system, excess, period)
     return MissingTorque(run.t, _next(x[:, modes]), np.sqrt(_next(variance)), _between(motion.angle @ port),
-                         _between(motion.speed @ port), run.command, _between(motion.speed[:, parts.base]), step)
+                         _between(motion.speed @ port), run.command, _between(motion.speed[:, parts.base]),
+                         _drive_torque(rig, parts, motion, period), step)
 
 
 def port_vector(rig: Rig, parts: Assembly, at: str) -> np.ndarray:
@@ -153,30 +156,32 @@ def _between(values: np.ndarray) -> np.ndarray:
     return 0.5 * (values + _next(values))
 
 
-def _driven(model: Model, run: Run) -> tuple[tuple[np.ndarray, np.ndarray], _Motion]:
-    """Channels (encoder, accel) and motion that the logged command causes on the model, from the run's rest."""
-    rows, rest = len(run.t), max(min(rest_rows(run), 100), 1)
-    start = float(np.mean(run.encoder[:rest])) * model.rig.angle_per_count
-    offset = 0.0 if run.accel is None else float(np.mean(run.accel[:rest]))
+def rest_start(rig: Rig, run: Run) -> tuple[float, float]:
+    """A run's starting angle (rad) and its accelerometer's offset (counts), means over the rows at rest."""
+    rest = max(min(rest_rows(run), 100), 1)
+    start = float(np.mean(true_encoder(rig, run.encoder[:rest]))) * rig.angle_per_count
+    return start, 0.0 if run.accel is None else float(np.mean(run.accel[:rest]))
+
+
+def true_encoder(rig: Rig, reading: np.ndarray) -> np.ndarray:
+    """The encoder (counts) without the eccentricity and delay that the rig holds; its last reading is held."""
+    period = rig.period * math.prod(e.values()["ratio"] for e in rig.effects if e.stage is Stage.CLOCK)
+    late = sum(e.values()["time"] for e in rig.effects if e.stage is Stage.ENCODER_DELAY)
+    added = sum(law_values(rig, e, reading * rig.angle_per_count) for e in rig.effects if e.stage is Stage.ENCODER)
+    ticks = np.arange(len(reading))
+    return np.interp(ticks + late / period, ticks, reading - added)
+
+
+def _driven(model: Model, run: Run, start: float, offset: float) -> tuple[tuple[np.ndarray, np.ndarray], _Motion]:
+    """Channels (encoder, accel) and motion that the logged command causes on the model."""
+    rows, size = len(run.t), model.assembly.size
     state = initial_state(model, start, equilibrium=run.metadata.start == "equilibrium")
     controller = controller_arrays({"kind": "open"}, model.rig)
     encoder, accel, history = np.zeros(rows), np.zeros(rows), np.zeros((rows, state.z.size))
     stepper.run_ticks(model.plan, state, controller, run.reference, np.array(run.command), False, 0, offset, False,
                       False, encoder, accel, history)
     full = history @ model.form.basis.T
-    return (encoder, accel), _Motion(full[:, :model.assembly.size], full[:, model.assembly.size:])
-
-
-def _true_encoder(rig: Rig, reading: np.ndarray, period: float) -> np.ndarray:
-    """The encoder without the eccentricity and delay that the rig holds; its last reading is held."""
-    corrected, ticks = reading, np.arange(len(reading))
-    for effect in rig.effects:
-        if effect.stage is Stage.ENCODER:
-            p = effect.arguments(rig)
-            corrected = corrected - [type(effect).law(c * rig.angle_per_count, 0.0, 0.0, p, [0.0], period)
-                                     for c in reading]
-    late = sum(e.values()["time"] for e in rig.effects if e.stage is Stage.ENCODER_DELAY)
-    return np.interp(ticks + late / period, ticks, corrected)
+    return (encoder, accel), _Motion(full[:, :size], full[:, size:])
 
 
 def _dense(blocks: np.ndarray) -> np.ndarray:
@@ -297,6 +302,13 @@ def _port_of(rig: Rig, effect: Effect) -> str:
     return effect.at
 
 
+def _drive_torque(rig: Rig, parts: Assembly, motion: _Motion, h: float) -> np.ndarray:
+    if rig.drive is None:
+        return np.zeros(len(motion.angle))
+    vector = port_vector(rig, parts, "drive")
+    return joint_torque(rig, "drive", _between(motion.angle @ vector), _between(motion.speed @ vector), h)
+
+
 def _known(rig: Rig, parts: Assembly, form: ModalForm, laws: list[Effect], motion: _Motion,
            before: dict[str, np.ndarray], system: _System, excess: np.ndarray,
            period: float) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
@@ -308,7 +320,7 @@ def _known(rig: Rig, parts: Assembly, form: ModalForm, laws: list[Effect], motio
         vector = port_vector(rig, parts, at)
         return _between(motion.angle @ vector), _between(motion.speed @ vector)
 
-    drive = joint_torque(rig, "drive", *between("drive"), period) if rig.drive else np.zeros(len(excess))
+    drive = _drive_torque(rig, parts, motion, period)
     torques = {at: held_torque(rig, at, *between(at), drive, before.get(at, 0.0), period)
                for at in dict.fromkeys(_port_of(rig, e) for e in laws)}
     for at, torque in torques.items():
