@@ -37,9 +37,9 @@ class RecordedSource:
         """Encoder and accelerometer of this row, counts."""
         return self._rows[self._row]
 
-    def advance(self, drive: int, running: bool) -> None:
-        """On to the next row; the drive moves nothing."""
-        if running and self._row < len(self._rows) - 1:
+    def advance(self, drive: int, enabled: bool) -> None:
+        """On to the next row, in a session; the drive moves nothing."""
+        if enabled and self._row < len(self._rows) - 1:
             self._row += 1
 
 

@@ -8,10 +8,13 @@ import zlib
 from dataclasses import dataclass, field
 from typing import Protocol
 
+import numpy as np
+
 from station.device.core import Board, Core
 from station.device.faults import Faults, FaultyLine
 from station.device.protocol import BoardFlags, InputFlags
 from station.errors import UsageError
+from station.model import stepper
 from station.model.simulate import Plant
 from station.rig import Rig
 
@@ -28,15 +31,29 @@ class Source(Protocol):
     def sample(self) -> tuple[int, int]:
         """Encoder and accelerometer at this tick, counts."""
 
-    def advance(self, drive: int, running: bool) -> None:
-        """Hold the drive (counts) to the next tick."""
+    def advance(self, drive: int, enabled: bool) -> None:
+        """Hold the drive (counts) to the next tick; ``enabled``: the drive's enable pin, active in a session alone."""
+
+
+class _Coasting(Plant):
+    """A plant whose amplifier can be off: no torque then, not even that of a bias."""
+
+    def __init__(self, rig: Rig, start_angle: float, accel_offset: float) -> None:
+        super().__init__(rig, start_angle, accel_offset)
+        plan = self.model.plan
+        self._off = plan._replace(held=np.zeros_like(plan.held), switched=np.zeros_like(plan.switched),
+                                  tip_feedthrough=0.0)
+
+    def coast(self) -> None:
+        """One period with the amplifier off."""
+        stepper.tick(self._off, self._state, 0.0, self._offset, True, self._work, self._out)
 
 
 class PlantSource:
     """The plant model of a rig; ``noise`` is the accelerometer's standard deviation, counts."""
 
     def __init__(self, rig: Rig, angle: float, accel_offset: float, noise: float, seed: int) -> None:
-        self._plant = Plant(rig, angle, accel_offset)
+        self._plant = _Coasting(rig, angle, accel_offset)
         self._noise = noise
         self._gauss = random.Random(seed).gauss
 
@@ -50,9 +67,12 @@ class PlantSource:
             accel = math.floor(accel + self._gauss(0.0, self._noise) + 0.5)
         return encoder, min(max(accel, -_INT16), _INT16)
 
-    def advance(self, drive: int, running: bool) -> None:
-        """Hold the drive to the next tick."""
-        self._plant.advance(drive)
+    def advance(self, drive: int, enabled: bool) -> None:
+        """Hold the drive to the next tick; the amplifier is off where it is not enabled."""
+        if enabled:
+            self._plant.advance(drive)
+        else:
+            self._plant.coast()
 
 
 @dataclass(frozen=True)
@@ -85,7 +105,6 @@ class SimulatedDevice:
         self.core = Core(board, random.getrandbits(32) if options.seed is None else boot ^ 0x5DEECE66)
         self.line = FaultyLine(options.faults, boot)
         self._source = source
-        self._running = False
         self._session_ticks = 0
         self._faulty = options.faults.on_frames
 
@@ -128,8 +147,7 @@ class SimulatedDevice:
         if self.core.beginning:
             self._source.begin()
             self._session_ticks = 0
-        self._running = self.core.running
-        if self._running:
+        if self.core.running:
             self._session_ticks += 1
         encoder, accel = self._source.sample()
         self.core.tick(clock, encoder, accel, int(InputFlags.WOKE_LATE) if woke_late else 0)
@@ -138,4 +156,4 @@ class SimulatedDevice:
 
     def advance(self) -> None:
         """Let the drive act on the rig for one period."""
-        self._source.advance(self.core.drive, self._running)
+        self._source.advance(self.core.drive, self.core.running)

@@ -113,7 +113,8 @@ def _judge(rig: Rig, encoder: np.ndarray, accel: np.ndarray, sigma: float, expec
     elif seen_encoder is None:
         moved = seen_accel is not None and seen_accel != 0
         words.append("the encoder is dead: the accelerometer moved, the encoder did not" if moved else
-                     "nothing moved: motor, drive enable, or encoder; see that the motor has power, then wiring")
+                     "nothing moved: see that the motor has power, then its enable and the wiring; "
+                     "if friction holds the arm, use a larger amplitude")
     elif seen_encoder == 0:
         words.append("the encoder moves, but not as these pulses would make it: was the arm touched?")
     elif seen_encoder > 0:

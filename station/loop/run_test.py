@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from station.control.compensators import Compensator
-from station.control.rounding import round_half_up
 from station.device.client import Client, Identity
 from station.device.port import Port
 from station.device.protocol import State
@@ -95,14 +94,14 @@ def arm(client: Client, identity: Identity, rate: float, limit: float, answer_ti
 def measure_rest(client: Client, rig: Rig, identity: Identity, seconds: float = REST_SECONDS) -> Rest:
     """Wait for rest, then read the sensors with a motor that the device's own limit keeps at zero."""
     client.wait_for_rest(SETTLE_SECONDS)
-    readings: list[tuple[int, int]] = []
+    readings: list[int] = []
     arm(client, identity, rig.sample_rate, limit=0.0)
     rows = max(2, round(seconds * rig.sample_rate))
     Session(client, rows, lambda row, encoder, accel: 0,
-            lambda row, clock, encoder, accel, *rest: readings.append((encoder, accel))).run()
-    encoder, accel = np.array(readings, dtype=float).T
-    return Rest(float(np.mean(accel)), float(np.std(accel, ddof=1)) if len(accel) > 1 else 0.0,
-                round_half_up(float(np.median(encoder))))
+            lambda row, clock, encoder, accel, *rest: readings.append(accel)).run()
+    accel = np.array(readings, dtype=float)
+    sigma = float(np.std(accel, ddof=1)) if len(accel) > 1 else 0.0
+    return Rest(float(np.mean(accel)), sigma, client.wait_for_rest(SETTLE_SECONDS))  # a bias may have moved it
 
 
 def run_test(port: Port, rig: Rig, compensator: Compensator, reference: np.ndarray, *,

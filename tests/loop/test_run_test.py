@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from station.control.references import reference_from_test
+from station.device.client import Client
 from station.device.port import open_port
 from station.device.protocol import State, Status
 from station.errors import UsageError, WorkError
+from station.model.effects.command_bias import CommandBias
 from station.model.simulate import simulate
 from station.runs.columns import LOG_COLUMNS
 from station.runs.replay import compare_replay
@@ -200,3 +202,20 @@ def test_the_interpreter_is_left_as_it_was(rows):
     assert seen[0] == (False, pytest.approx(1e-4))
     assert gc.isenabled()
     assert sys.getswitchinterval() == interval
+
+
+def test_a_biased_amplifier_moves_the_arm_in_a_session_alone(rows, tmp_path):
+    biased = rows.rig.with_effects([CommandBias(at="amplifier", offset=6.0)])
+    path = tmp_path / "rig.toml"
+    path.write_text(biased.to_toml())
+    with open_port(f"sim://?rig={path}") as port:
+        client = Client(port)
+        client.identify()
+        client.wait(1.0)
+        assert client.wait_for_rest() == 0
+        rows.test(port)
+        assert np.array_equal(simulate(biased, rows.run).encoder, rows.run.encoder)
+        assert rows.run.encoder[99] != 0  # it drifts in the rest before the step, as on the model
+        result = rows.test(port, relative=True, accel_zero=None)  # each test begins at rest all the same
+        assert result.counts.samples == 600
+        assert rows.run.encoder[0] == rows.run.reference[0]
