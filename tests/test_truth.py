@@ -784,6 +784,27 @@ def test_severity_of_what_the_constants_can_imitate_is_their_penalty():
     assert value == pytest.approx((8 / 3) ** 2 + 2 * (4 / 3) ** 2, abs=4.0)
 
 
+def test_a_wrong_clock_is_rescaled_constants_to_the_last_digit():
+    ratio = 1.04
+    move = {k: tr.SFLR[k.split(".")[0]][k.split(".")[1]] for k in tr.uncertain_keys(tr.SFLR)}
+    for key, value in move.items():
+        last = key.split(".")[1]
+        if last in ("inertia", "mass", "mass_per_length") or key == "accelerometer.gain":
+            move[key] = value / ratio**2
+        elif last == "damping":
+            move[key] = value / ratio
+    reference = held((50, 0), (400, 80))
+    clock = run_exact(tr.SFLR, [effect("clock_scale", "clock", ratio=ratio)], reference, tr.CONTROLLERS["lead_accel"])
+    same = run_exact(with_constants(tr.SFLR, move), [], reference, tr.CONTROLLERS["lead_accel"])
+    assert clock.encoder == pytest.approx(same.encoder, abs=1e-7)
+    assert clock.accel == pytest.approx(same.accel, abs=1e-6)
+    case = tr.make_case(4, ["clock_scale"])
+    assert abs(case.truth["severity"]["clock_scale@clock"]) < 60
+    run = case.runs[0]
+    slope = np.polyfit(run.device_time, run.host_time, 1)[0]
+    assert slope == pytest.approx(case.effects[0]["ratio"], abs=1e-4)
+
+
 def test_other_rigs_make_cases_too():
     for rig, name in ((tr.RIGID_AXIS, "coulomb_friction"), (tr.TWO_MASS, "backlash")):
         case = tr.make_case(3, [name], nominal=rig)

@@ -268,6 +268,28 @@ class Severity:
                 s[rows, block + r] = moved[rows]
         return s
 
+    def _imitation(self, cause: Effect) -> Array:
+        """The move of the constants that is this cause: of a constant itself; of a clock, time measured in its ticks.
+
+        With true time = ratio x clock time, M q'' + C q' + K q reads M / ratio^2, C / ratio, K in clock time, and an
+        acceleration in clock time is ratio^2 times the true one.
+        """
+        move = np.zeros(len(self.start))
+        name = cause["effect"].removeprefix("parameter:")
+        for k, key in enumerate(self.keys):
+            last = key.split(".")[1]
+            log = 0.0
+            if key == name:
+                log = math.log(cause["value"] / get_constant(self.constants, key))
+            elif name == "clock_scale" and (
+                last in ("inertia", "mass", "mass_per_length") or key == "accelerometer.gain"
+            ):
+                log = -2.0 * math.log(cause["ratio"])
+            elif name == "clock_scale" and last == "damping":
+                log = -math.log(cause["ratio"])
+            move[k] = log / self.own[k]
+        return move
+
     def of(self, cause: Effect, turns: int = 12) -> float:
         """The severity of `cause`; with few turns an upper bound of it. inf where the rig runs away."""
         effects = [*self.others, cause]
@@ -279,13 +301,12 @@ class Severity:
         z, y, s = self.start, self.y0, self.s0
         with_z, with_s, free = z, s, self.weight
         name = cause["effect"].removeprefix("parameter:")
-        if name in self.keys:  # the fit starts at the truth, which a constant that may move far enough could be
-            k = self.keys.index(name)
-            z, y = z.copy(), truth
-            z[k] += math.log(cause["value"] / get_constant(self.constants, name)) / self.own[k]
-            with_z, with_s, free = z, self._slopes(z, y), self.weight.copy()
-            free[k] = 0.0
-            s = with_s
+        if name in self.keys or name == "clock_scale":  # constants alone can be this truth: the fit starts there
+            z, y = z + self._imitation(cause), truth
+            s = self._slopes(z, y)
+        if name in self.keys:
+            with_z, with_s, free = z, s, self.weight.copy()
+            free[self.keys.index(name)] = 0.0
 
         def objective(y: Array, z: Array) -> float:
             return float(np.sum((truth - y) ** 2) + np.sum((self.weight * z) ** 2))
@@ -308,8 +329,12 @@ class Severity:
                 break
         outputs = simulate_case(self.constants, effects, self.tests, self.conditions)
         noise = _weighted(outputs, self.conditions, read=True) - _weighted(outputs, self.conditions)
+        known = noise
+        if name == "stuck_bit":  # what the bit adds is noise to the rig without it alone
+            quiet = simulate_case(self.constants, self.others, self.tests, self.conditions)
+            known = _weighted(quiet, self.conditions, read=True) - _weighted(quiet, self.conditions)
         # Both rigs' constants at last make of the noise, and of nearness to nominal, what pays.
-        return _best(s, truth - y + noise, self.weight, z) - _best(with_s, noise, free, with_z)
+        return _best(s, truth - y + noise, self.weight, z) - _best(with_s, known, free, with_z)
 
 
 def _least_squares(s: Array, residual: Array, weight: Array, z: Array) -> Array:
@@ -361,6 +386,7 @@ def make_case(
     limit: float = 2.0,
     accel_sigma: float | None = None,
     count: int | None = None,
+    host_time: bool | None = None,
 ) -> Case:
     """A blind case, the same for the same arguments.
 
@@ -406,7 +432,7 @@ def make_case(
         if not behaves(outputs, drawn_tests, rig):
             reason = "no rig behaved with its effects"
             continue
-        return _case(seed, rig, nominal, settled, grades, drawn_tests, conditions, outputs, own, common, rng)
+        return _case(seed, rig, nominal, settled, grades, drawn_tests, conditions, outputs, own, common, rng, host_time)
     raise ValueError(f"seed {seed}, {list(effects)}: {reason}")
 
 
@@ -464,6 +490,9 @@ def _sized(
         return wanted, grade(wanted)
     name, at = (wanted, None) if isinstance(wanted, str) else wanted
     centre = shifted(nominal, common)
+    if name == "clock_scale":
+        effect = sizes.draw_effect(name, rng, rig, at)
+        return effect, grade(effect)
     if name in OUTSIDE:
         for _ in range(8):
             effect = sizes.draw_effect(name, rng, rig)
@@ -520,9 +549,11 @@ def _case(
     own: dict[str, float],
     common: dict[str, float],
     rng: np.random.Generator,
+    host_time: bool | None,
 ) -> Case:
     """Blind runs and the sealed truth."""
-    clocked = bool(rng.random() < 0.5)
+    clocked = bool(rng.random() < 0.5) or any(e["effect"] == "clock_scale" for e in effects)
+    clocked = clocked if host_time is None else host_time
     ratio = next((e["ratio"] for e in effects if e["effect"] == "clock_scale"), 1.0)
     runs = []
     for k, (test, c, out) in enumerate(zip(tests, conditions, outputs, strict=True)):

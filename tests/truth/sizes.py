@@ -129,7 +129,7 @@ def draw_effect(name: str, rng: np.random.Generator, rig: RigDict, at: str | Non
         case "encoder_eccentricity":
             p = {"amplitude": between(1.0, 4.0), "phase": phase()}
         case "clock_scale":
-            p = {"ratio": math.exp(sign() * between(0.01, 0.04))}
+            p = {"ratio": math.exp(sign() * between(0.003, 0.04))}
         case "presliding_friction":
             level = between(4, 12) * count
             p = {"torque": level, "stiffness": level / between(0.03, 0.15), "wave": between(0.4, 0.8)}
