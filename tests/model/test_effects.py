@@ -1,0 +1,279 @@
+"""Every effect of the catalogue, at every place: neutral where it should be, and the law that an independent
+generator (tests.truth) has too, on the same beam so that only the effect can differ; wrong sizes are told apart."""
+
+import math
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from station.model import stepper
+from station.model.assembly import assemble
+from station.model.effects import Effect, Stage, catalogue, effect_class
+from station.model.effects.base import parameter
+from station.model.simulate import Model, Simulation, build, initial_state, simulate, simulate_model
+from station.rig import Rig, load_rig
+from station.runs.run import Run, RunMetadata
+from tests.truth import CATALOGUE, CONTROLLERS, SFLR, Conditions, pulse_test, simulate_case, step_test
+from tests.truth.simulate import Output, Truth
+
+VALUES = {
+    ("accelerometer_centripetal", "accelerometer"): {"fraction": 0.4},
+    ("accelerometer_delay", "accelerometer"): {"time": 0.0033},
+    ("accelerometer_highpass", "accelerometer"): {"time_constant": 0.2},
+    ("accelerometer_lag", "accelerometer"): {"time_constant": 0.004},
+    ("accelerometer_saturation", "accelerometer"): {"limit": 25.0},
+    ("actuator_lag", "amplifier"): {"time_constant": 0.006},
+    ("actuator_saturation", "amplifier"): {"limit": 90.0},
+    ("backlash", "drive"): {"gap": 0.04},
+    ("cable_spring", "base"): {"stiffness": 0.15, "rest": 0.3},
+    ("clock_scale", "clock"): {"ratio": 1.03},
+    ("command_bias", "amplifier"): {"offset": 5.0},
+    ("coulomb_friction", "motor"): {"torque": 0.05},
+    ("coulomb_friction", "base"): {"torque": 0.05},
+    ("dead_zone", "amplifier"): {"width": 6.0},
+    ("encoder_delay", "encoder"): {"time": 0.0047},
+    ("encoder_eccentricity", "encoder"): {"amplitude": 4.0, "phase": 1.0},
+    ("gain_asymmetry", "amplifier"): {"ratio": 1.2},
+    ("gain_curve", "amplifier"): {"exponent": 0.2},
+    ("gravity_tilt", "base"): {"torque": 0.05, "angle": 1.0},
+    ("hardening_spring", "drive"): {"cubic": 1.5},
+    ("hardening_spring", "clamp"): {"cubic": 300.0},
+    ("input_delay", "amplifier"): {"time": 0.0047},
+    ("load_friction", "drive"): {"fraction": 0.3},
+    ("quadratic_drag", "base"): {"coefficient": 0.02},
+    ("stribeck_friction", "motor"): {"static_torque": 0.1, "coulomb_torque": 0.05, "stribeck_velocity": 0.4},
+    ("sublinear_drag", "motor"): {"coefficient": 0.1, "speed": 0.7},
+    ("torque_ripple", "motor"): {"amplitude": 0.06, "cycles": 6.0, "phase": 1.0},
+}
+"""A plain size of each effect on the flexible arm."""
+KEYS = [(name, at) for name, cls in catalogue().items() for at in cls.sites
+        if cls.__module__.startswith("station.model.effects")]
+ROUGH = {("coulomb_friction", "base"): (0.06, 0.2), ("backlash", "drive"): (0.03, 0.15)}
+TOLERANCE, FINE = (0.02, 0.06), (0.006, 0.04)
+"""Largest difference (encoder, accelerometer counts) at the usual step, and at one of 0.1 ms, the generator's own."""
+SEEN = 10.0
+"""A wrong effect differs by more than this many tolerances."""
+OPPOSING = {"stiffness", "coefficient"}
+"""Parameters whose bounds allow one sign, which the law gives a direction."""
+
+RATE, ZERO, START, OFFSET = 500.0, 0.3, 0.1, 2.0
+TESTS = [step_test(RATE, "lead_accel", 150.0, 1.2), pulse_test(RATE, 120.0, 0.1, duration=1.2),
+         step_test(RATE, "p2", 60.0, 1.2)]
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return load_rig("sflr")
+
+
+def truths(effects: list[dict]) -> list[Output]:
+    """The three tests by the independent generator, with the model's own number of beam elements, unrounded."""
+    truth = Truth(SFLR, effects, elements=4, modes=9)
+    return [truth.run(test.reference, CONTROLLERS[test.controller], start_angle=START + ZERO, zero_angle=ZERO,
+                      accel_offset=OFFSET, accel_zero=OFFSET, rounding=False) for test in TESTS]
+
+
+def as_run(test, start: str = "released") -> Run:
+    controller = CONTROLLERS[test.controller]
+    zero = np.zeros(len(test.reference))
+    meta = RunMetadata(controller=controller, command_row=0 if controller["kind"] == "open" else -1,
+                       accel_zero=OFFSET, start=start)
+    return Run(test.name, np.arange(len(zero)) / RATE, test.reference, test.reference, zero, zero, meta)
+
+
+def differences(rig: Rig, outputs: list[Output], longest: float = 5e-4) -> np.ndarray:
+    """Largest difference over the tests: encoder, accelerometer, counts; infinite where the model diverges."""
+    model, found = build(rig, longest=longest), np.zeros(2)
+    for test, output in zip(TESTS, outputs, strict=True):
+        made = simulate_model(model, as_run(test), rounding=False, start_angle=START, zero=ZERO, accel_offset=OFFSET)
+        both = [np.max(np.abs(made.encoder - output.encoder)), np.max(np.abs(made.accel - output.accel))]
+        found = np.maximum(found, np.nan_to_num(both, nan=np.inf, posinf=np.inf))
+    return found
+
+
+def wrong_versions(cls: type[Effect], at: str, values: dict[str, float]):
+    """(what was done, effect): doubled, phase turned by pi, sign flipped; a ratio's distance from 1 doubled."""
+    def made(name: str, value: float) -> Effect:
+        return cls.model_construct(at=at, **(values | {name: value}))
+
+    for name, info in cls.parameters().items():
+        value = values[name]
+        if info.periodic:
+            yield f"{name} turned", made(name, value - math.copysign(math.pi, value))
+            continue
+        yield f"{name} doubled", made(name, value**2 if name == "ratio" else 2.0 * value)
+        if info.low < 0.0 or name in OPPOSING:
+            yield f"{name} flipped", made(name, -value)
+
+
+def test_every_effect_has_a_case_here_and_in_the_independent_generator():
+    assert set(VALUES) == set(KEYS) == set(CATALOGUE)
+
+
+@pytest.mark.parametrize("key", KEYS, ids="@".join)
+def test_effect_agrees_with_the_independent_generator_and_a_wrong_one_does_not(rig, key):
+    name, at = key
+    cls, values = effect_class(name), VALUES[key]
+    outputs = truths([{"effect": name, "at": at, **values}])
+    right = rig.with_effects([cls(at=at, **values)])
+    allowed = np.array(ROUGH.get(key, TOLERANCE))
+    assert np.all(differences(right, outputs) <= allowed)
+    assert np.all(differences(right, outputs, longest=1e-4) <= FINE)
+    assert np.any(differences(rig, outputs) > SEEN * allowed), "off"
+    for what, effect in wrong_versions(cls, at, values):
+        assert np.any(differences(rig.with_effects([effect]), outputs) > SEEN * allowed), what
+
+
+def neutral(cls: type[Effect], values: dict[str, float]) -> dict[str, float]:
+    found = {name: values[name] if info.neutral is None else info.neutral for name, info in cls.parameters().items()}
+    assert found != values, f"{cls.name} has no neutral value"
+    return found
+
+
+@pytest.mark.parametrize("key", KEYS, ids="@".join)
+def test_neutral_value_gives_the_linear_model_back(rig, key):
+    name, at = key
+    cls = effect_class(name)
+    effect = cls(at=at, **neutral(cls, VALUES[key]))
+    plain, with_it = build(rig, truncation=0.0), build(rig.with_effects([effect]), truncation=0.0)
+    for test in TESTS:
+        one, other = (simulate_model(model, as_run(test), rounding=False, start_angle=START, accel_offset=OFFSET)
+                      for model in (plain, with_it))
+        for channel in ("encoder", "accel"):
+            whole = getattr(one, channel)
+            np.testing.assert_allclose(getattr(other, channel), whole, rtol=0.0, atol=1e-9 * np.abs(whole).max())
+
+
+EQUILIBRIA = [[{"effect": "cable_spring", "at": "base", "stiffness": 0.15, "rest": 0.3},
+               {"effect": "coulomb_friction", "at": "motor", "torque": 0.08}],
+              [{"effect": "command_bias", "at": "amplifier", "offset": 4.0},
+               {"effect": "coulomb_friction", "at": "motor", "torque": 0.08},
+               {"effect": "actuator_lag", "at": "amplifier", "time_constant": 0.006}],
+              [{"effect": "gravity_tilt", "at": "base", "torque": 0.05, "angle": 1.0},
+               {"effect": "stribeck_friction", "at": "motor", "static_torque": 0.1, "coulomb_torque": 0.05,
+                "stribeck_velocity": 0.4}, {"effect": "input_delay", "at": "amplifier", "time": 0.0047}]]
+
+
+@pytest.mark.parametrize("effects", EQUILIBRIA, ids=lambda rows: rows[0]["effect"])
+def test_equilibrium_start_agrees_with_the_independent_generator(rig, effects):
+    truth = Truth(SFLR, effects, elements=4, modes=9)
+    built = [effect_class(e["effect"])(**{k: v for k, v in e.items() if k != "effect"}) for e in effects]
+    test = step_test(RATE, "p2", 60.0, 1.2)
+    out = truth.run(test.reference, CONTROLLERS["p2"], start="equilibrium", start_angle=START, rounding=False)
+    found = {start: simulate_model(build(rig.with_effects(built), longest=1e-4), as_run(test, start), rounding=False,
+                                   start_angle=START) for start in ("equilibrium", "released")}
+    gap = {start: np.abs(made.encoder - out.encoder).max() for start, made in found.items()}
+    assert gap["equilibrium"] <= 0.01 and np.abs(found["equilibrium"].accel - out.accel).max() <= 0.05
+    if effects[0]["effect"] != "command_bias":  # friction holds the bias from the first row of either start
+        assert gap["released"] > 0.1
+
+
+def test_pairs_of_effects_agree_with_the_independent_generator(rig):
+    """Laws that share a port, the drive or the chain, together."""
+    pairs = [(("backlash", "drive"), ("hardening_spring", "drive")), (("coulomb_friction", "motor"),
+             ("load_friction", "drive")), (("dead_zone", "amplifier"), ("gain_asymmetry", "amplifier")),
+             (("input_delay", "amplifier"), ("actuator_lag", "amplifier")), (("accelerometer_highpass",
+             "accelerometer"), ("accelerometer_lag", "accelerometer")), (("encoder_delay", "encoder"),
+             ("encoder_eccentricity", "encoder")), (("load_friction", "drive"), ("backlash", "drive")),
+             (("clock_scale", "clock"), ("input_delay", "amplifier"))]
+    for pair in pairs:
+        outputs = truths([{"effect": name, "at": at, **VALUES[name, at]} for name, at in pair])
+        effects = [effect_class(name)(at=at, **VALUES[name, at]) for name, at in pair]
+        gaps = differences(rig.with_effects(effects), outputs)
+        assert np.all(gaps <= (0.06, 0.2)), (pair, gaps)
+
+
+def test_the_arms_four_elements_are_within_a_quarter_count_of_a_fine_beam(rig):
+    outputs = simulate_case(SFLR, [], TESTS, [Conditions(start_angle=START + ZERO, zero_angle=ZERO,
+                                                         accel_offset=OFFSET)] * len(TESTS), exact=True)
+    encoder, accel = differences(rig, outputs)
+    assert encoder <= 0.005 and 0.02 < accel <= 0.3
+
+
+def friction(name: str, at: str) -> Effect:
+    return effect_class(name)(at=at, **VALUES[name, at])
+
+
+def motion(model: Model, command: np.ndarray) -> np.ndarray:
+    """Angles and speeds (n, 2 coordinates) after each period of an open loop, from rest."""
+    state, work, out, rows = initial_state(model), np.zeros((4, 4)), np.zeros(2), []
+    stepper.begin(model.plan, state)
+    for count in command:
+        stepper.tick(model.plan, state, float(count), 0.0, False, work, out)
+        rows.append(model.form.basis @ state.z)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize(("name", "at"), [("coulomb_friction", "motor"), ("coulomb_friction", "base"),
+                                          ("stribeck_friction", "motor")])
+def test_friction_holds_a_part_at_rest(rig, name, at):
+    """Under a command below the level the speed is 0, not small, at every tick; at twice the level it is not.
+
+    The angle may shift by less than 10^-6 rad while a load that builds up bends within the steps.
+    """
+    effect, parts = friction(name, at), assemble(rig)
+    level = (effect.values().get("static_torque") or effect.values()["torque"]) / rig.motor.gain
+    part = parts.motor if at == "motor" else parts.base
+    held, loose = (motion(build(rig.with_effects([effect])), np.full(1500, share * level)) for share in (0.95, 2.0))
+    assert np.abs(held[:, parts.size + part]).max() < 1e-13 and np.abs(held[:, part]).max() < 1e-6
+    assert np.abs(loose[:, parts.size + part]).max() > 1e-2 and np.abs(loose[:, part]).max() > 1e-3
+
+
+def test_load_friction_holds_a_motor_that_a_wound_drive_pushes(rig):
+    """At rest the level is a share of the drive's torque, which alone can never beat it; motion comes to a stop."""
+    command = np.concatenate([np.full(100, 80.0), np.zeros(1900)])
+    run = Run("coast", np.arange(2000) / RATE, command, command, 0.0 * command, 0.0 * command, RunMetadata())
+    free = rig.model_copy(update={"motor": rig.motor.model_copy(update={"damping": 0.02})})
+    speeds = {}
+    for effects in ([], [friction("load_friction", "drive")]):
+        angle = simulate_model(build(free.with_effects(effects)), run, rounding=False, states=True).states[:, 0]
+        speeds[len(effects)] = np.sum(np.abs(np.diff(angle[200:])))
+    assert speeds[1] < 0.8 * speeds[0]
+
+
+@pytest.mark.parametrize(("name", "at"), [("coulomb_friction", "motor"), ("coulomb_friction", "base"),
+                                          ("stribeck_friction", "motor"), ("load_friction", "drive"),
+                                          ("sublinear_drag", "motor"), ("quadratic_drag", "base")])
+def test_friction_and_drag_only_take_energy(rig, name, at):
+    """On an arm without any damping of its own, after a pulse, the energy never grows and does fall."""
+    plain = rig.with_constants({"motor.damping": 0.0, "drive.damping": 0.0, "clamp.damping": 0.0, "beam.damping": 0.0})
+    parts = assemble(plain)
+    energies = {}
+    for effects in ([], [friction(name, at)]):
+        x = motion(build(plain.with_effects(effects), truncation=0.0), np.where(np.arange(900) < 20, 60.0, 0.0))[20:]
+        q, v = x[:, : parts.size], x[:, parts.size:]
+        energies[len(effects)] = 0.5 * np.sum(q @ parts.stiffness * q + v @ parts.mass * v, axis=1)
+    np.testing.assert_allclose(energies[0], energies[0][0], rtol=1e-6)
+    assert np.max(np.diff(energies[1])) <= 1e-7 * energies[1][0]
+    assert energies[1][-1] < 0.7 * energies[1][0]
+
+
+def test_a_users_own_effect_joins_without_recompiling_the_stepper(rig):
+    """A law defined here, viscous drag, is the same as more motor damping, and run_ticks stays as compiled."""
+    simulate(rig.with_effects([friction("coulomb_friction", "motor")]), as_run(TESTS[0]))
+    before = (list(stepper.run_ticks.signatures), dict(stepper.run_ticks.stats.cache_misses))
+
+    def torque(x, v, w, p, s, h):
+        return -p[0] * v
+
+    class ViscousOfMyOwn(Effect):
+        name = "viscous_of_my_own"
+        sites: ClassVar = ("motor",)
+        stage, law = Stage.TORQUE, torque
+        coefficient: float = parameter("N m s/rad", 0.0, neutral=0.0)
+
+    try:
+        own = rig.with_effects([ViscousOfMyOwn(at="motor", coefficient=0.03)])
+        assert effect_class("viscous_of_my_own") is ViscousOfMyOwn
+        assert Rig.from_toml(own.to_toml()).effects == own.effects
+        made: Simulation = simulate_model(build(own, longest=1e-4), as_run(TESTS[0]), rounding=False)
+        same = simulate_model(build(rig.with_constants({"motor.damping": rig.motor.damping + 0.03})),
+                              as_run(TESTS[0]), rounding=False)
+        none = simulate_model(build(rig), as_run(TESTS[0]), rounding=False)
+    finally:
+        ViscousOfMyOwn.name = ""  # leaves the catalogue
+    np.testing.assert_allclose(made.encoder, same.encoder, atol=0.02)
+    assert np.abs(none.encoder - same.encoder).max() > 1.0
+    after = (list(stepper.run_ticks.signatures), dict(stepper.run_ticks.stats.cache_misses))
+    assert after == before
