@@ -782,6 +782,7 @@ def test_severity_of_what_the_constants_can_imitate_is_their_penalty():
     # a^2 + 2 b^2 (in sigmas of 0.1) with a - b = 4: a = 8/3, b = -4/3.
     value = tr.Severity(rig, zero, zero, tests, conditions).of(cause)
     assert value == pytest.approx((8 / 3) ** 2 + 2 * (4 / 3) ** 2, abs=4.0)
+    assert tr.Severity(rig, zero, zero, tests, conditions).of(effect("dead_zone", "amplifier", width=1e-4)) < 1.0
 
 
 def test_a_wrong_clock_is_rescaled_constants_to_the_last_digit():

@@ -207,8 +207,9 @@ class Severity:
     a parameter cause's included: every uncertain constant and common factor under its uncertainty, each run's
     starting angle and accelerometer offset freely. The same freedom, linearised, is granted with the cause; a
     parameter cause has its own uncertainty set aside there. The fit sees outputs of loops without rounding and noise
-    (rounding inside a loop moves every rig at random); the rounding and noise of the case's own readings then join
-    both rigs' residuals, so that what hides below the rounding counts for nothing.
+    (rounding inside a loop moves every rig at random). The smaller of two numbers counts: as it stands, and with the
+    rounding and noise of the case's own readings in both rigs' residuals. So what hides below the rounding counts for
+    nothing, and what the rounding feigns does neither.
     """
 
     def __init__(
@@ -334,7 +335,11 @@ class Severity:
             quiet = simulate_case(self.constants, self.others, self.tests, self.conditions)
             known = _weighted(quiet, self.conditions, read=True) - _weighted(quiet, self.conditions)
         # Both rigs' constants at last make of the noise, and of nearness to nominal, what pays.
-        return _best(s, truth - y + noise, self.weight, z) - _best(with_s, known, free, with_z)
+        gap = truth - y
+        read = _best(s, gap + noise, self.weight, z) - _best(with_s, known, free, with_z)
+        if name == "stuck_bit":
+            return read
+        return min(read, _best(s, gap, self.weight, z) - _best(with_s, 0.0 * gap, free, with_z))
 
 
 def _least_squares(s: Array, residual: Array, weight: Array, z: Array) -> Array:
