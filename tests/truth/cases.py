@@ -395,11 +395,13 @@ def make_case(
 ) -> Case:
     """A blind case, the same for the same arguments.
 
-    `effects`: names, (name, at) or whole effects. A named effect is drawn and, alone on this rig in these
-    tests, sized until its severity falls into `band` ("clear", "subtle", a range, or None for the size as
-    drawn); a whole effect stays as given. Effects outside the catalogue are not sized, except that "clear"
-    draws them again until their severity exceeds 200. A rig that does not behave (`behaves`: without and
-    with its effects) is drawn again. A ValueError says that no draw reached the band.
+    `effects`: names, (name, at) or whole effects. A named effect is drawn and, alone on this rig in these tests,
+    sized until its severity falls into `band` ("clear", "subtle", a range, or None for the size as drawn); a whole
+    effect stays as given. Two kinds are not sized: clock_scale, which constants imitate exactly and which only
+    `host_time` shows (columns that every second case has, and every one with that effect, unless told otherwise), and
+    effects outside the catalogue, which are drawn until their severity exceeds 200. A rig that does not behave
+    (`behaves`: without and with its effects) is drawn again. A ValueError says that no draw reached the band; for a
+    parameter cause also that its own uncertainty is too wide for any size to reach it.
     """
     rng = np.random.default_rng([seed, 0x57A7])
     target = sizes.BANDS[band] if isinstance(band, str) else band
