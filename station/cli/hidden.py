@@ -23,7 +23,7 @@ SIZES = (0.7, 1.4)
 """Range of the factor on the size that the catalogue suggests."""
 LEFT_OUT = frozenset({"clock_scale"})
 """By the angle and the acceleration alone this one is the same as other constants (a known equivalence)."""
-FIT_STEPS = 5
+FIT_STEPS = 8
 
 
 @dataclass(frozen=True)
