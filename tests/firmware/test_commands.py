@@ -219,3 +219,26 @@ def test_a_line_that_nobody_reads_costs_samples_and_counts_them(bench):
     assert received == 256 // 21
     assert statistics.samples == 20
     assert statistics.overruns == 20 - received
+
+
+def test_silence_of_an_earlier_session_does_not_count(bench):
+    bench.start(session=1)
+    for _ in range(8):
+        bench.tick()
+    bench.ask("stop")
+    bench.start(session=2)
+    states = []
+    for _ in range(11):
+        bench.tick()
+        states.append(bench.core.state)
+    assert states == [State.RUNNING] * 10 + [State.FAULT]
+
+
+@pytest.mark.parametrize("more", [b"\0", b"\1", b"\1\2\3"])
+def test_a_command_of_another_length_is_refused_even_with_its_crc_right(bench, more):
+    bench.start()
+    bench.tick()
+    body = MESSAGES["command"].pack(index=1, command=100)
+    bench.core.receive(encode(body + more, bench.session) + encode(body[:-1], bench.session))
+    assert bench.tick()[0] == 0
+    assert bench.statistics().corrupt == 2

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from station.control.compensators import Compensator
 from station.device.port import open_port
 from station.device.protocol import State, Status
 from station.errors import WorkError
@@ -107,3 +108,30 @@ def test_the_next_test_clears_the_fault_that_the_last_one_left(rows):
             rows.test(port)
         port.serial.device._faulty = False  # the line is mended
         assert rows.test(port).counts.samples == 600
+
+
+def test_a_sample_that_comes_again_after_the_last_row_is_counted_too(rows):
+    counts, line, _ = with_faults(rows, "duplicate=1&on=sample", count=300)
+    assert counts.duplicated == line.counts["sample", "duplicate"] == counts.device_samples == 300
+
+
+def test_the_compensator_steps_once_for_every_tick_lost_ones_included(rows):
+    steps = []
+
+    class Counting(Compensator):
+        def step(self, reference, encoder, accel):
+            steps.append((reference, encoder))
+            return super().step(reference, encoder, accel)
+
+    made = rows.compensator()
+    made.__class__ = Counting
+    reference = np.where(np.arange(600) < 100, 0.0, np.arange(600.0) / 10.0)
+    with open_port("sim://sflr?drop=0.05&on=sample&seed=2") as port:
+        result = rows.test(port, compensator=made, reference=reference)
+    assert result.counts.lost > 10
+    assert [step[0] for step in steps] == reference[1:].tolist()
+    encoders = dict(zip(rows.run.n.tolist(), rows.run.encoder.tolist(), strict=True))
+    last = 0
+    for row, (_, encoder) in enumerate(steps):  # a lost row is stepped with what was read last
+        last = encoders.get(row, last)
+        assert encoder == last
