@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -25,8 +27,6 @@ def test_dependencies_point_one_way():
 
 def test_a_contract_breaks_where_an_import_points_the_wrong_way(tmp_path):
     """The check above can fail: a copy of the package in which control imports the loop does not pass."""
-    import shutil
-
     shutil.copytree(ROOT / "station", tmp_path / "station", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
     with (tmp_path / "station" / "control" / "rounding.py").open("a", encoding="utf-8") as file:
@@ -36,6 +36,13 @@ def test_a_contract_breaks_where_an_import_points_the_wrong_way(tmp_path):
                           env={"PYTHONPATH": str(tmp_path), "PATH": ""})
     assert done.returncode == 1, done.stdout + done.stderr
     assert "BROKEN" in done.stdout
+
+
+@pytest.mark.parametrize("page", ["ARCHITECTURE.md", "README.md"])
+def test_files_that_a_page_names_are_there(page):
+    text = (ROOT / page).read_text(encoding="utf-8")
+    named = set(re.findall(r"`((?:station|firmware|tests|scripts)/[\w./-]*)`", text))
+    assert named and [name for name in sorted(named) if not (ROOT / name).exists()] == []
 
 
 def test_ruff_finds_nothing():
