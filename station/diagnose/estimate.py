@@ -141,6 +141,32 @@ def fit(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray | Non
         found = list(run_map(moved, which))
         return [np.stack([(y[r] - outputs[r]).ravel() / step for y, step in found]) for r in range(len(outputs))]
 
+    def along(spread: np.ndarray, x: np.ndarray, start: np.ndarray, offset: np.ndarray, outputs: list[np.ndarray]):
+        """Derivatives from steps along the columns of ``spread`` (p, p), the posterior's own axes and widths.
+
+        Sticking makes outputs kinked; a difference over the width that the data leave open is the one that counts.
+        """
+        def moved(k: int):
+            if k < count:
+                return problem.outputs(layout, x + spread[:, k], start, offset)
+            if k == count:
+                return problem.outputs(layout, x, start + angle, offset)
+            return problem.outputs(layout, x, start, offset + 0.1)
+        angle = 0.5 * problem.rig.angle_per_count
+        found = list(run_map(moved, everything))
+        jac = []
+        for r in range(len(outputs)):
+            changes = np.stack([(y[r] - outputs[r]).ravel() for y in found])
+            changes[:count] = np.linalg.solve(spread.T, changes[:count])
+            changes[count:] /= np.array([angle, 0.1])[: problem.channels, None]
+            jac.append(changes)
+        return jac
+
+    def axes() -> np.ndarray:
+        values, vectors = np.linalg.eigh(np.tensordot(weights, normal, 1) / max(data / samples, 1.0) + np.diag(prior))
+        spread = vectors / np.sqrt(np.maximum(values, 1e-12))
+        return spread * np.minimum(1.0, 0.5 / np.maximum(np.max(np.abs(spread), axis=0), 1e-300))
+
     everything, effects = list(range(count + problem.channels)), list(range(constants, count))
     objective, data, outputs, residuals, costs, penalty = look(x, start, offset)
     fresh = jacobian is None
@@ -189,7 +215,7 @@ def fit(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray | Non
             if stuck and (not better or gain < tolerance):
                 done = True
             if better and not done or exact_end and better:
-                jac = columns(everything, x, start, offset, outputs)
+                jac = along(axes(), x, start, offset, outputs)
             if done and not better:
                 break
         elif stuck:
@@ -198,5 +224,5 @@ def fit(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray | Non
                 if not better:
                     break
             else:
-                jac, renewed, fresh, damping = columns(everything, x, start, offset, outputs), True, True, 1e-3
+                jac, renewed, fresh, damping = along(axes(), x, start, offset, outputs), True, True, 1e-3
     return Fit(layout, x, start, offset, objective, costs, penalty, normal, gradient, residuals, outputs, jac)

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import signal
+from scipy.ndimage import median_filter
 
 from station.diagnose.missing import (
     MissingTorque,
@@ -180,9 +181,10 @@ def _torque(cause: _Cause) -> list[Evidence]:
         else:
             law = grid, law_values(cause.extended, effect, *((0.0, grid) if by_speed else (grid, 0.0)))
     label = f"{effect.at} speed (rad/s)" if by_speed else f"{effect.at} angle (rad)"
+    rest = " At rest anything between its two sides may hold." if effect.stage is Stage.FRICTION else ""
     return [_thin(f"Torque missing at the {effect.at}, against its {effect.picture}: {cause.title}", effect.picture,
                   label, "missing torque (N m)", x, _joined(found, lambda m: m.torque), law,
-                  _torque_note(cause, found))]
+                  _torque_note(cause, found) + rest)]
 
 
 def _torque_in_time(cause: _Cause) -> list[Evidence]:
@@ -211,21 +213,38 @@ def _load(cause: _Cause) -> list[Evidence]:
 
 
 def _joint(cause: _Cause) -> list[Evidence]:
-    """Torque of the drive or clamp without its damper against its wind-up."""
-    at, h = cause.at, cause.extended.period
-    found = _estimates(cause, at)
+    """The drive or clamp against its wind-up: a spring by its torque, play by the share of the torque that it carries.
+
+    Play is drawn as a share because a damper's torque, which has no place on the axis, may outweigh the spring's.
+    """
+    effect, at, h = cause.effect, cause.at, cause.extended.period
+    assert effect is not None
+    found, joint = _estimates(cause, at), getattr(cause.extended, at)
     angle, speed = _joined(found, lambda m: m.angle), _joined(found, lambda m: m.speed)
     total = joint_torque(cause.without, at, angle, speed, h) - _joined(found, lambda m: m.torque)
-    grid, still = _grid(angle), np.zeros(len(angle))
-    gap = sum(e.values().get("gap", 0.0) for e in cause.extended.effects if e.stage is Stage.GAP and e.at == at)
-    damper = getattr(cause.extended, at).damping * speed * (np.abs(angle) > 0.5 * gap if gap else 1.0)
-    law = grid, joint_torque(cause.extended, at, grid, still[:1].repeat(len(grid)), h)
-    sides = "motor - base" if at == "drive" else "base - beam root"
-    return [_thin(f"Torque of the {at} against its wind-up: {cause.title}", "deflection", f"{sides} (rad)",
-                  f"torque of the {at} less its damper (N m)", angle, total - damper, law,
-                  f"Points: spring and damper of the {at} plus what is missing there, smoothed from "
-                  f"{_count(cause.runs)}; the damper's part is taken off{', outside the fitted gap' if gap else ''}. "
-                  "Line: the fitted law.")]
+    label = f"{'motor - base' if at == 'drive' else 'base - beam root'} (rad)"
+    source = f"Points: spring and damper of the {at} plus what is missing there, smoothed from {_count(cause.runs)}"
+    if effect.stage is Stage.GAP:
+        linear = joint.stiffness * angle + joint.damping * speed
+        clear = np.abs(linear) > 0.05 * np.max(np.abs(linear))
+        share = joint_torque(cause.extended, at, angle, speed, h)[clear] / linear[clear]
+        return [_thin(f"Share of its torque that the {at} carries, against its wind-up: {cause.title}", "deflection",
+                      label, f"torque of the {at} over the same without play", angle[clear],
+                      total[clear] / linear[clear], _running_median(angle[clear], share),
+                      f"{source}, over what it would carry without play; rows with less than 5 % of the largest torque "
+                      "are left out. Line: the fitted law on the same motion, its median.")]
+    grid = _grid(angle)
+    return [_thin(f"Torque of the {at} against its wind-up: {cause.title}", "deflection", label,
+                  f"torque of the {at} less its damper (N m)", angle, total - joint.damping * speed,
+                  (grid, joint_torque(cause.extended, at, grid, np.zeros(len(grid)), h)),
+                  f"{source}; the damper's part is taken off. Line: the fitted law.")]
+
+
+def _running_median(x: np.ndarray, y: np.ndarray, width: int = 25) -> tuple[np.ndarray, np.ndarray]:
+    """Median of y over neighbours in x."""
+    order = np.argsort(x)
+    every = max(len(x) // 400, 1)
+    return x[order][::every], median_filter(y[order], size=width, mode="nearest")[::every]
 
 
 def _chain(rig: Rig, command: np.ndarray) -> np.ndarray:

@@ -40,7 +40,7 @@ SETTLED = 1e-3
 """Relative change per row below which a covariance counts as settled."""
 REST_ROWS = 20
 NEWTON = 8
-PASSES = 3
+PASSES = 4
 """Times that torques which the rig holds are evaluated on the smoothed motion."""
 _COMMAND_PATH = (Stage.COMMAND, Stage.INPUT_DELAY, Stage.CLOCK)
 _TORQUES = (Stage.TORQUE, Stage.FRICTION, Stage.GAP, Stage.SPRING)

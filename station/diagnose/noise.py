@@ -19,8 +19,10 @@ def rest_rows(run: Run) -> int:
     return int(moved[0]) if moved.size else len(run.t)
 
 
-def noise_sigmas(runs: list[Run]) -> tuple[float, float]:
-    """Standard deviations before rounding (encoder, accelerometer), counts, pooled over the runs' rests.
+def noise_sigmas(runs: list[Run]) -> tuple[float, float, int]:
+    """Standard deviations before rounding (encoder, accelerometer), counts, and the rows that they rest on.
+
+    Pooled over the runs' rests; without any, the accelerometer's is a default and the rows are 1.
 
     The variance at rest holds rounding's own q^2/12 where the reading moves at all; that part is taken off.
     """
@@ -41,4 +43,5 @@ def noise_sigmas(runs: list[Run]) -> tuple[float, float]:
         accel = sums["accel"] / freedom["accel"]
     else:
         accel = ACCEL_DEFAULT**2 + QUANTISATION
-    return float(np.sqrt(max(encoder - QUANTISATION, 0.0))), float(np.sqrt(max(accel - QUANTISATION, 0.0)))
+    rows = max(freedom["accel"] or freedom["encoder"], 1)
+    return float(np.sqrt(max(encoder - QUANTISATION, 0.0))), float(np.sqrt(max(accel - QUANTISATION, 0.0))), rows

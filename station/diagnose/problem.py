@@ -14,11 +14,12 @@ import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
 from station.diagnose.noise import QUANTISATION, noise_sigmas, rest_rows
-from station.model.effects import Effect, ParameterInfo
+from station.model.effects import Effect, ParameterInfo, Stage
 from station.model.simulate import Model, Simulation, build, simulate_model
 from station.rig import Rig
 from station.runs.run import Run
@@ -27,6 +28,7 @@ FAST = {"truncation": 0.1, "longest": 1e-3}
 """Accuracy of the simulations within a fit: below 0.1 count."""
 ELEMENTS = 8
 """Fewest beam elements of the fits: with fewer the mesh's own error would look like physics."""
+REALISATIONS = 16
 WIDE = 1.5
 """Prior sigma of the logarithm of a constant that a hypothesis sets free, and of an effect's size."""
 
@@ -103,18 +105,20 @@ class Problem:
             rig = rig.model_copy(update={"beam": rig.beam.model_copy(update={"elements": ELEMENTS})})
         self.rig, self.runs = rig, list(runs)
         self.paths = list(rig.constants())
-        encoder, accel = noise_sigmas(self.runs)
+        encoder, accel, self.noise_rows = noise_sigmas(self.runs)
         self.noise = (encoder, accel)
         self.sigma = np.array([math.sqrt(encoder**2 + QUANTISATION), math.sqrt(accel**2 + QUANTISATION)])
         self.has_accel = rig.accelerometer is not None and all(r.accel is not None for r in self.runs)
         self.measured = [np.stack([r.encoder, r.accel]) if self.has_accel else r.encoder[None, :] for r in self.runs]
         self.share = [self._shares(r) for r in self.runs]
         self.scale = [np.sqrt(share) / self.sigma[: self.channels, None] for share in self.share]
+        self.chatter = [np.zeros_like(share) for share in self.share]
         self.start = np.array([self._start_angle(r) for r in self.runs])
         self.offset = np.array([self._offset(r) for r in self.runs])
         zero_ids = [r.metadata.zero_id or f"own {i}" for i, r in enumerate(self.runs)]
         groups = list(dict.fromkeys(zero_ids))
         self.zero_group = [groups.index(z) for z in zero_ids]
+        self.clock = clock_evidence(self.runs)
         self.pool = ThreadPoolExecutor(threads)
 
     def _shares(self, run: Run) -> np.ndarray:
@@ -133,18 +137,33 @@ class Problem:
         return np.array([share.sum() for share in self.share])
 
     def calibrate(self, layout: Layout, x: np.ndarray, start: np.ndarray, offset: np.ndarray) -> None:
-        """Add to each run's variance what rounding inside its loop feeds back, seen on the model itself."""
+        """See on the model what rounding inside a closed loop does, and allow for it.
+
+        Rounding makes the command chatter; chatter against the limit or against friction has a mean.  REALISATIONS
+        pairs of simulations, with and without rounding, started within one count of each other, give that mean, which
+        is added to every simulation, and the scatter about it, which is added to the noise (times how long it lasts).
+        """
         model = build(self.rig_of(layout, x), **FAST)
+        rng = np.random.default_rng(1)
+
+        def pair(task: tuple[int, float, float]) -> np.ndarray:
+            r, angle, shift = task
+            both = [self.simulate_run(model, layout, x, r, start[r] + angle, offset[r] + shift, rounding=flag)
+                    for flag in ("inside", False)]
+            return np.stack([getattr(both[0], c) - getattr(both[1], c) for c in ("encoder", "accel")[: self.channels]])
+
         for r, run in enumerate(self.runs):
             if run.metadata.controller.get("kind") == "open":
                 continue
-            pair = [self.simulate_run(model, layout, x, r, start[r], offset[r], rounding=flag) for flag in (True, False)]
-            for c, channel in enumerate(("encoder", "accel")[: self.channels]):
-                difference = getattr(pair[0], channel) - getattr(pair[1], channel)
-                white = QUANTISATION
-                fed_back = max(float(np.mean(difference**2)) - white, 0.0) * _correlation_time(difference)
-                sigma = math.sqrt(self.sigma[c] ** 2 + fed_back)
-                self.scale[r][c] = np.sqrt(self.share[r][c]) / sigma
+            shifts = rng.uniform(-0.5, 0.5, (REALISATIONS, 2)) * [self.rig.angle_per_count, 1.0]
+            differences = np.array(list(self.pool.map(pair, [(r, *shift) for shift in shifts])))
+            self.chatter[r] = differences.mean(axis=0)
+            for c in range(self.channels):
+                scatter = differences[:, c] - self.chatter[r][c]
+                power = float(np.mean(scatter**2)) * REALISATIONS / (REALISATIONS - 1)
+                lasting = float(np.mean([_correlation_time(row) for row in scatter]))
+                fed_back = power * lasting
+                self.scale[r][c] = np.sqrt(self.share[r][c] / (self.sigma[c] ** 2 + fed_back))
 
     def _start_angle(self, run: Run) -> float:
         return float(np.mean(run.encoder[: max(min(rest_rows(run), 100), 1)])) * self.rig.angle_per_count
@@ -175,6 +194,10 @@ class Problem:
                 scale = 1.0 if info.periodic else max(abs(value), 1e-12)
                 coordinate = Coordinate(k, name, info, log, scale)
                 coordinates.append(coordinate)
+                if cls.stage is Stage.CLOCK and self.clock is not None:
+                    mean.append(coordinate.to_x(self.clock[0]))
+                    precision.append((self.clock[0] / self.clock[1]) ** 2)
+                    continue
                 mean.append(coordinate.to_x(value))
                 precision.append(WIDE**-2 if log else (0.1 if info.periodic else 0.25))
             shifted |= cls.absolute is not None
@@ -200,7 +223,7 @@ class Problem:
         return rig.with_effects((*self.rig.effects, *effects)) if effects else rig
 
     def simulate_run(self, model: Model, layout: Layout, x: np.ndarray, index: int, start: float,
-                     offset: float, rounding: bool = False) -> Simulation:
+                     offset: float, rounding: bool | Literal["inside"] = False) -> Simulation:
         """One run on a built rig with its nuisances."""
         extra = len(self.paths) + len(layout.coordinates)
         group = self.zero_group[index]
@@ -217,8 +240,28 @@ class Problem:
         for i in range(len(self.runs)) if only is None else only:
             simulation = self.simulate_run(model, layout, x, i, start[i], offset[i])
             columns = (simulation.encoder, simulation.accel)[: self.channels]
-            found.append(np.stack(columns) * self.scale[i])
+            found.append((np.stack(columns) + self.chatter[i]) * self.scale[i])
         return found
+
+
+def clock_evidence(runs: Sequence[Run]) -> tuple[float, float] | None:
+    """True over nominal sample period and its standard error, by regression of host_time on device_time.
+
+    None where no run has both.  The error is taken from the scatter of the residuals and, since receipt is never early,
+    is not allowed below 20 parts per million.
+    """
+    slopes, weights = [], []
+    for run in runs:
+        if run.host_time is None or run.device_time is None:
+            continue
+        x, y = run.device_time - run.device_time.mean(), run.host_time - run.host_time.mean()
+        slope = float(x @ y / (x @ x))
+        spread = float(np.std(y - slope * x)) / math.sqrt(float(x @ x))
+        slopes.append(slope)
+        weights.append(max(spread, 2e-5) ** -2)
+    if not slopes:
+        return None
+    return float(np.average(slopes, weights=weights)), float(np.sum(weights)) ** -0.5
 
 
 def _correlation_time(values: np.ndarray, longest: int = 50) -> float:

@@ -17,9 +17,12 @@ import numpy as np
 from station.diagnose.candidates import Candidate, candidates
 from station.diagnose.estimate import Fit, eliminate, fit
 from station.diagnose.problem import Hypothesis, Layout, Problem
+from station.model.effects import Stage
 
 LOG_PRIOR = -7.0
 """Log prior odds that any one further cause is present: about one chance in a thousand each."""
+LOG_PRIOR_PARAMETER = -1.5
+"""Each further parameter of one effect: a law that holds a simpler one must earn its parameters."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +71,17 @@ class Search:
 
     def score(self, found: Fit, temperature: float) -> float:
         """Log posterior of a set of causes, up to a constant."""
-        causes = len(found.layout.hypothesis.keys())
-        return found.log_evidence(temperature) + LOG_PRIOR * causes
+        hypothesis = found.layout.hypothesis
+        further = sum(len(cls.parameters()) - 1 for cls, _ in hypothesis.effects)
+        return (found.log_evidence(temperature) + LOG_PRIOR * len(hypothesis.keys()) + LOG_PRIOR_PARAMETER * further
+                + self.clock_score(hypothesis))
+
+    def clock_score(self, hypothesis: Hypothesis) -> float:
+        """What the clocks' own comparison says against a hypothesis that leaves the board's clock right."""
+        clock = self.problem.clock
+        if clock is None or any(cls.stage is Stage.CLOCK for cls, _ in hypothesis.effects):
+            return 0.0
+        return -0.5 * ((clock[0] - 1.0) / clock[1]) ** 2
 
     def best(self) -> Fit:
         """The set of causes with the highest posterior."""
@@ -154,6 +166,9 @@ def screen(problem: Problem, parent: Fit, pool: list[Candidate]) -> list[Promise
     tasks = [(c, g) for c in pool if c.effect is not None for g in c.guesses]
     found = list(problem.pool.map(promise, tasks))
     for candidate in pool:
+        if candidate.effect is not None and candidate.effect.stage is Stage.CLOCK and problem.clock is not None:
+            ratio, error = problem.clock
+            found.append(Promise(candidate, {"ratio": ratio}, ((ratio - 1.0) / error) ** 2, 1.0, error**-2))
         if candidate.effect is None:
             found.append(_freed(problem, parent, candidate, normal.sum(axis=0) / scale, gradient.sum(axis=0) / scale))
     return sorted(found, key=lambda p: -p.gain)
@@ -203,8 +218,11 @@ def _started(promise: Promise) -> dict[str, float]:
     return moved
 
 
-def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float, float]) -> Fit:
-    """Fit the most promising further causes on top of a parent; returns the best child."""
+def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float, float], least: float) -> Fit:
+    """Fit the most promising further causes on top of a parent; returns the best child, or the parent.
+
+    ``least`` is the predicted gain that is worth a fit.
+    """
     problem, effort = search.problem, search.effort
     promises = screen(problem, parent, pool)
     if not search.promises:
@@ -214,7 +232,7 @@ def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float
         key = promise.candidate.key
         starts = per_key.setdefault(key, [])
         allowed = 2 if promise.candidate.effect is not None and len(promise.candidate.guesses) > 4 else 1
-        if len(starts) < allowed and promise.gain > 4.0 and len(per_key) <= effort.fits:
+        if len(starts) < allowed and promise.gain > least and len(per_key) <= effort.fits:
             starts.append(promise)
             chosen.append(promise)
 
@@ -275,6 +293,20 @@ def look_back(search: Search, found: Fit, pool: list[Candidate]) -> None:
         search.keep(parent)
 
 
+def recalibrate(search: Search, best: Fit) -> Fit:
+    """Judge the noise that rounding feeds back on the best hypothesis, and refit the leading ones with it."""
+    problem = search.problem
+    problem.calibrate(best.layout, best.x, best.start, best.offset)
+    temperature = search.temperature()
+    leading = sorted(search.fits.values(), key=lambda f: -search.score(f, temperature))
+    keep = [f for f in leading if f.layout.hypothesis.keys()][: search.effort.exact]
+    again = [search.fits[frozenset()], *keep]
+    search.fits = {}
+    for found in again:
+        search.keep(fit(problem, found.layout, found.x, found.start, found.offset, iterations=6))
+    return search.best()
+
+
 def explore(problem: Problem, effort: Effort, progress: Callable[[str, float], None]) -> Search:
     """The whole ladder; stops where the next rung buys nothing."""
     search = Search(problem, effort, progress)
@@ -285,13 +317,15 @@ def explore(problem: Problem, effort: Effort, progress: Callable[[str, float], N
     for rung in range(effort.rungs):
         held = set(parent.layout.hypothesis.keys())
         share = (0.1 + 0.8 * rung / effort.rungs, 0.1 + 0.8 * (rung + 1) / effort.rungs)
-        child = climb(search, parent, [c for c in pool if c.key not in held], share)
+        child = climb(search, parent, [c for c in pool if c.key not in held], share, 4.0 if rung == 0 else 10.0)
         if child is parent:
             break
         parent = child
-        if rung:
+        if rung == 0:
+            parent = recalibrate(search, child)
+        else:
             look_back(search, parent, pool)
             parent = search.best()
-            if len(parent.layout.hypothesis.keys()) <= rung:
-                break
+        if len(parent.layout.hypothesis.keys()) <= rung:
+            break
     return search

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -259,9 +260,13 @@ def controller_arrays(spec: dict, rig: Rig, accel_zero: float = 0.0) -> stepper.
                               float(spec.get("accel_zero", accel_zero)))
 
 
-def simulate_model(model: Model, run: Run, *, rounding: bool = True, start_angle: float = 0.0, zero: float = 0.0,
+def simulate_model(model: Model, run: Run, *, rounding: bool | Literal["inside"] = True, start_angle: float = 0.0, zero: float = 0.0,
                    accel_offset: float = 0.0, gap_place: float = 0.0, states: bool = False) -> Simulation:
-    """As ``simulate``, with a rig that has been built."""
+    """As ``simulate``, with a rig that has been built.
+
+    ``rounding`` "inside" rounds what the compensator sees and sends, but returns what was rounded.
+    """
+    inside = stepper.INSIDE if rounding == "inside" else (stepper.ALL if rounding else stepper.NONE)
     meta, rig = run.metadata, model.rig
     state = initial_state(model, start_angle, zero, equilibrium=meta.start == "equilibrium", gap_place=gap_place)
     controller = controller_arrays(meta.controller, rig, meta.accel_zero)
@@ -272,7 +277,7 @@ def simulate_model(model: Model, run: Run, *, rounding: bool = True, start_angle
     encoder, accel = np.zeros(rows), np.zeros(rows)
     history = np.zeros((rows if states else 0, state.z.size))
     stepper.run_ticks(model.plan, state, controller, reference, command, closed, meta.command_row, accel_offset,
-                      rounding, rounding and meta.rounding, encoder, accel, history)
+                      inside, bool(inside) and meta.rounding, encoder, accel, history)
     shape = full = None
     if states:
         full = history @ model.form.basis[: model.assembly.size].T

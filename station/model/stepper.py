@@ -25,6 +25,7 @@ from station.model.compiled import call_law, element, njit
 
 COMMAND, TORQUE, FRICTION, GAP, SPRING, ACCEL_INPUT, ACCEL_FILTER, ACCEL_COUNTS, ENCODER = range(9)
 STAGES = 9
+NONE, ALL, INSIDE = range(3)
 MAX_ITERATIONS = 40
 CROSSINGS = 8
 TOLERANCE = 1e-6
@@ -357,8 +358,12 @@ def tick(plan, state, command, offset, rounding, work, out):
 @njit(cache=True, nogil=True)
 def run_ticks(plan, state, controller, reference, command, closed, command_row, offset, rounding, round_command,
               encoder, accel, history):
-    """One whole test; writes command (where closed), encoder, accel (n) and, where asked, history (n, 2b)."""
+    """One whole test; writes command (where closed), encoder, accel (n) and, where asked, history (n, 2b).
+
+    ``rounding``: NONE, ALL, or INSIDE: the compensator sees whole counts, the columns stay what was rounded.
+    """
     rows = reference.size
+    seen_encoder, seen_accel = np.zeros(rows), np.zeros(rows)
     work = np.zeros((4, max(plan.port_joint.size, 1)))
     num, den = controller.numerator, controller.denominator
     anum, aden = controller.accel_numerator, controller.accel_denominator
@@ -372,12 +377,13 @@ def run_ticks(plan, state, controller, reference, command, closed, command_row, 
         if plain:
             angle, y = _dot2(plan.base_angle, plan.tip_acceleration, z)
             y += plan.tip_feedthrough * state.last[0]
-            theta, y = angle * plan.counts_per_radian, y * plan.counts_per_acceleration + offset
-            if rounding:
-                theta, y = math.floor(theta + 0.5), math.floor(y + 0.5)
-            encoder[row], accel[row] = theta, y
+            encoder[row], accel[row] = angle * plan.counts_per_radian, y * plan.counts_per_acceleration + offset
         else:
-            encoder[row], accel[row] = sense(plan, state, offset, rounding)
+            encoder[row], accel[row] = sense(plan, state, offset, False)
+        if rounding == NONE:
+            seen_encoder[row], seen_accel[row] = encoder[row], accel[row]
+        else:
+            seen_encoder[row], seen_accel[row] = math.floor(encoder[row] + 0.5), math.floor(accel[row] + 0.5)
         if history.shape[0] > 0:
             history[row] = z
         if closed:
@@ -388,7 +394,7 @@ def run_ticks(plan, state, controller, reference, command, closed, command_row, 
                 if aden.size > 0:
                     for k in range(aden.size - 1, 0, -1):
                         g[k], w[k] = g[k - 1], w[k - 1]
-                    g[0] = accel[source] - controller.accel_zero
+                    g[0] = seen_accel[source] - controller.accel_zero
                     shaped = anum[0] * g[0]
                     for k in range(1, aden.size):
                         shaped += anum[k] * g[k] - aden[k] * w[k]
@@ -396,7 +402,7 @@ def run_ticks(plan, state, controller, reference, command, closed, command_row, 
                     target -= shaped
                 for k in range(num.size - 1, 0, -1):
                     e[k], v[k] = e[k - 1], v[k - 1]
-                e[0] = target - encoder[source]
+                e[0] = target - seen_encoder[source]
                 out = num[0] * e[0]
                 for k in range(1, num.size):
                     out += num[k] * e[k] - den[k] * v[k]
@@ -410,3 +416,6 @@ def run_ticks(plan, state, controller, reference, command, closed, command_row, 
             state.last[0] = command[row]
         else:
             _advance(plan, state, command[row], work)
+    if rounding == ALL:
+        encoder[:] = seen_encoder
+        accel[:] = seen_accel
