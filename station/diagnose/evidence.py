@@ -234,10 +234,12 @@ def _joint(cause: _Cause) -> list[Evidence]:
                       f"{source}, over what it would carry without play; rows with less than 5 % of the largest torque "
                       "are left out. Line: the fitted law on the same motion, its median.")]
     grid = _grid(angle)
+    doubt = ("" if at == "drive" else " The sensors tell this torque better than the wind-up, which is estimated "
+             "towards that of a linear clamp: where the law is steep, points lie inside it.")
     return [_thin(f"Torque of the {at} against its wind-up: {cause.title}", "deflection", label,
                   f"torque of the {at} less its damper (N m)", angle, total - joint.damping * speed,
                   (grid, joint_torque(cause.extended, at, grid, np.zeros(len(grid)), h)),
-                  f"{source}; the damper's part is taken off. Line: the fitted law.")]
+                  f"{source}; the damper's part is taken off. Line: the fitted law.{doubt}")]
 
 
 def _running_median(x: np.ndarray, y: np.ndarray, width: int = 25) -> tuple[np.ndarray, np.ndarray]:
