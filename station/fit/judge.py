@@ -11,7 +11,7 @@ LAGS = 150
 """Samples over which residuals are taken to remember each other."""
 DRAWS = 40
 """Simulations of what rounding does to the fit."""
-FLAT = 0.2
+FLAT = 0.5
 """A direction is flat where the data leave more than this share of its stated variance."""
 UNKNOWN = 0.5
 """A constant of which the data take away less than this share of the variance is warned about."""
@@ -25,7 +25,7 @@ def judge(problem: Problem, x: np.ndarray, held: tuple[str, ...], bound: float, 
     count, paths = len(problem.paths), problem.paths
     residuals = problem.residuals(x)
     chi2 = float(np.mean(residuals**2))
-    posterior = covariance(problem, x, residuals, problem.jacobian(x))[:count, :count]
+    posterior = covariance(problem, x, residuals, problem.jacobian(x))
     logs = problem.root @ posterior @ problem.root.T
     deviation = np.sqrt(np.diag(logs))
     stated = np.sqrt(np.sum(problem.root**2, axis=1))
@@ -57,13 +57,14 @@ def judge(problem: Problem, x: np.ndarray, held: tuple[str, ...], bound: float, 
                      tuple(flat_directions(problem, posterior)), tuple(warnings), chi2, nominal, starts, agreeing)
 
 
-def covariance(problem: Problem, x: np.ndarray, residuals: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
-    """Posterior covariance of all unknowns, for residuals that remember their past.
+def covariance(problem: Problem, x: np.ndarray, residuals: np.ndarray,
+               jacobian: np.ndarray) -> np.ndarray:
+    """Posterior covariance of the constants (in stated deviations), for residuals that remember their past.
 
     H^-1 (S + R + prior) H^-1 with H = J'J/s^2 + prior.  S is the long-run variance of the scores J_i e_i (Newey and
     West, Econometrica 55, 1987), R that of what rounding does, simulated: a reading at rest is rounded alike for
     hundreds of rows, and in a closed loop the compensator answers each rounding.  Intervals that took the residuals
-    as white would be too narrow.
+    as white would be too narrow.  No direction is left wider than the rig file states it.
     """
     scale = max(float(np.mean(residuals**2)), 1.0)
     prior = np.diag((np.arange(problem.size) < len(problem.paths)).astype(float))
@@ -82,7 +83,9 @@ def covariance(problem: Problem, x: np.ndarray, residuals: np.ndarray, jacobian:
         score = jacobian.T @ problem.rounding(x, rng) / scale
         longrun += np.outer(score, score) / DRAWS
     inverse = np.linalg.pinv(jacobian.T @ jacobian / scale + prior, hermitian=True)
-    return inverse @ (longrun + prior) @ inverse
+    count = len(problem.paths)
+    values, vectors = np.linalg.eigh((inverse @ (longrun + prior) @ inverse)[:count, :count])
+    return vectors * np.minimum(values, 1.0) @ vectors.T
 
 
 def common_factor(paths: list[str]) -> dict[str, float]:

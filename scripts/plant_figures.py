@@ -1,0 +1,159 @@
+"""The plant's figures for the documentation, and the numbers that stand beside them.
+
+    python scripts/plant_figures.py [--out docs/figures] [--logs FOLDER]
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import control
+import numpy as np
+import scipy.linalg
+import scipy.optimize
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
+
+from station.control.compensators import Compensator
+from station.control.design import modes, transfer_function
+from station.model.beam import beam_matrices
+from station.model.linear import natural_frequencies, state_space
+from station.model.lumped import lumped_assembly, run_chain
+from station.model.transfer_matrix import chain_response
+from station.model.transfer_matrix import natural_frequencies as continuous_frequencies
+from station.rig import Rig, load_rig
+from station.runs.run import Run, RunMetadata
+from station.runs.store import load_run
+from station.view.bode import bode_figure
+
+ROOTS = [scipy.optimize.brentq(lambda x: np.tan(x) - np.tanh(x), x - 0.3, x + 0.3) for x in (3.927, 7.069, 10.210)]
+"""beta L of a pinned-free beam's first modes."""
+L2 = 0.00714375
+"""Beam beyond the laboratory rig's sensor, m."""
+
+
+def with_elements(rig: Rig, elements: int) -> Rig:
+    """The same rig with another number of elements."""
+    return rig.model_copy(update={"beam": rig.beam.model_copy(update={"elements": elements})})
+
+
+def pinned_free(elements: int) -> tuple[np.ndarray, np.ndarray]:
+    """Natural frequencies and shapes of the thesis's beam, the rigid mode left out."""
+    mass, stiffness = (m[1:, 1:] for m in beam_matrices(1.0, 1.0, 1.0, elements))
+    squared, shapes = scipy.linalg.eigh(stiffness, mass)
+    return np.sqrt(squared[1:]), shapes[:, 1:]
+
+
+def beam_figure(path: Path) -> None:
+    """Frequency error against element length, and the first three shapes against theory."""
+    figure = Figure(figsize=(9.0, 3.4), layout="constrained")
+    errors, shapes = figure.subplots(1, 2)
+    counts = np.array([2, 3, 4, 6, 8, 12, 16, 24, 32])
+    for mode, beta in enumerate(ROOTS):
+        found = [pinned_free(n)[0][mode] / beta**2 - 1.0 if 2 * n > mode else np.nan for n in counts]
+        errors.loglog(1.0 / counts, found, "o-", markersize=3, label=f"mode {mode + 1}")
+        nodes = np.arange(11) / 10.0
+        x = np.linspace(0.0, 1.0, 200)
+        shape = np.sin(beta * x) + np.sin(beta) / np.sinh(beta) * np.sinh(beta * x)
+        deflection = np.r_[0.0, pinned_free(10)[1][1::2, mode]]
+        line = shapes.plot(x, shape / shape[-1], label=f"mode {mode + 1}")[0]
+        shapes.plot(nodes, deflection / deflection[-1], "o", markersize=4, color=line.get_color())
+    errors.loglog(1.0 / counts, 0.3 * (1.0 / counts) ** 4, "k:", label="fourth power")
+    errors.set(xlabel="element length / beam length", ylabel="relative frequency error")
+    shapes.set(xlabel="x / L", ylabel="deflection")
+    errors.xaxis.set_minor_formatter(NullFormatter())
+    for axis in (errors, shapes):
+        axis.grid(alpha=0.3)
+        axis.legend(fontsize=8)
+    figure.savefig(path)
+
+
+def lumped_figure(path: Path) -> None:
+    """The discrete-time transfer matrix method: error of the step and error of the lumps, apart."""
+    rig, lumps = load_rig("sflr"), 10
+    rows = 300
+    reference, zero = np.where(np.arange(rows) >= 10, 100.0, 0.0), np.zeros(rows)
+    lead = {"kind": "lead", "gain": 20.0, "zero": 31.4159, "pole": 125.6637}
+    run = Run("step", np.arange(rows) / 500.0, reference, zero, zero, zero,
+              RunMetadata(controller=lead, command_row=-1))
+    plant = control.sample_system(state_space(rig, lumped_assembly(rig, lumps)), rig.period, method="zoh")
+    compensator = Compensator.from_spec(lead, rig.sample_rate, rig.amplifier.limit)
+    x, exact = np.zeros(plant.nstates), np.zeros(rows)
+    for i in range(rows):
+        exact[i] = plant.C[0] @ x
+        seen = exact[i - 1] if i else 0.0
+        x = plant.A @ x + plant.B[:, 0] * compensator.step(reference[i], seen, 0.0)
+    steps = np.array([1, 2, 4, 8, 16, 32])
+    in_time = [np.abs(run_chain(rig, run, lumps, int(s)).encoder - exact).max() for s in steps]
+    wanted = continuous_frequencies(rig, 100.0)
+    counts = np.array([5, 10, 20, 40, 80])
+    in_space = []
+    for n in counts:
+        parts = lumped_assembly(rig, int(n))
+        squared = scipy.linalg.eigh(parts.stiffness, parts.mass, eigvals_only=True)
+        in_space.append(np.abs(np.sqrt(squared[1:5]) / (2 * np.pi) / wanted - 1.0))
+    print("discrete-time TMM, largest encoder error of a lead step, counts, by step in ms:",
+          {round(1e3 * rig.period / int(s), 4): float(f"{e:.3g}") for s, e in zip(steps, in_time, strict=True)})
+    print("chain's frequency error by lumps:",
+          {int(n): [float(f"{e:.2g}") for e in row] for n, row in zip(counts, in_space, strict=True)})
+    figure = Figure(figsize=(9.0, 3.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    left.loglog(1e3 * rig.period / steps, in_time, "o-", label="lead step, 10 lumps")
+    left.loglog(1e3 * rig.period / steps, in_time[0] / steps**2.0, "k:", label="second power")
+    left.set(xlabel="step, ms", ylabel="encoder error, counts")
+    for mode in range(4):
+        right.loglog(counts, np.array(in_space)[:, mode], "o-", label=f"mode {mode + 1}")
+    right.loglog(counts, 3.0 / counts**2.0, "k:", label="second power")
+    right.set(xlabel="lumps", ylabel="relative frequency error")
+    right.xaxis.set_minor_formatter(NullFormatter())
+    for axis in (left, right):
+        axis.grid(alpha=0.3)
+        axis.legend(fontsize=8)
+    figure.savefig(path)
+
+
+def numbers() -> None:
+    """What the pages state."""
+    rig = load_rig("sflr")
+    print("natural frequencies, Hz, transfer matrices:", continuous_frequencies(rig, 250.0).round(4))
+    for n in (4, 10, 20, 200):
+        print(f"  {n} elements:", natural_frequencies(with_elements(rig, n))[1:7].round(4))
+    hertz = np.geomspace(0.1, 100.0, 2000)
+    exact = chain_response(rig, 2j * np.pi * hertz)
+    for n in (4, 10, 20):
+        found = state_space(with_elements(rig, n))(2j * np.pi * hertz)[:, 0]
+        scale = rig.motor.gain * np.array([1.0 / rig.angle_per_count, rig.accelerometer.gain])
+        error = np.abs(20 * np.log10(np.abs(found / (scale[:, None] * np.array([exact.base, exact.tip])))))
+        print(f"  {n} elements against transfer matrices up to 100 Hz: {error.max(axis=1).round(4)} dB")
+    beyond = chain_response(rig, 2j * np.pi * hertz, L2)
+    print("with L2, Hz:", continuous_frequencies(rig, 250.0, L2).round(4))
+    for name in ("base", "tip"):
+        change = np.abs(20 * np.log10(np.abs(getattr(beyond, name) / getattr(exact, name))))
+        print(f"  {name}: median change {np.median(change):.3f} dB")
+    plant = state_space(rig)
+    for name in plant.output_labels:
+        factors = transfer_function(plant, name, below=600.0)
+        print(name, "zeros", factors.zeros.round(2), "right half plane", factors.nonminimum_phase.round(2))
+    for mode in modes(plant)[:6]:
+        print(f"  {mode.frequency:8.3f} Hz  damping {mode.damping:.4f}  controllability {mode.controllability:.2e}  "
+              + "  ".join(f"{key} {value:.2e}" for key, value in mode.observability.items()))
+
+
+def main() -> None:
+    """Draw the figures and print the numbers."""
+    parser = argparse.ArgumentParser(description="The plant's figures for the documentation")
+    parser.add_argument("--out", type=Path, default=Path("docs/figures"))
+    parser.add_argument("--logs", type=Path, help="folder of the laboratory's logs, for the Bode figure")
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    beam_figure(options.out / "beam.svg")
+    lumped_figure(options.out / "lumped.svg")
+    if options.logs:
+        log = load_run(next(options.logs.glob("swept_sine*.txt")))
+        bode_figure(load_rig("sflr"), log).savefig(options.out / "bode.png", dpi=90)
+    numbers()
+
+
+if __name__ == "__main__":
+    main()
