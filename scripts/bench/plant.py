@@ -132,9 +132,9 @@ def lsim_loop(rig: Rig, run: Run, rows: int) -> Callable[[], np.ndarray]:
 
 DRAKE = """
 import json, sys, time
+from importlib.metadata import version
 import numpy as np
 from pydrake.all import DiagramBuilder, LinearSystem, LeafSystem, Simulator
-import pydrake
 d = json.load(open(sys.argv[1]))
 a, b, c = (np.array(d[k]) for k in "abc")
 num, den, limit, rows, period = d["num"], d["den"], d["limit"], d["rows"], d["period"]
@@ -169,7 +169,7 @@ for _ in range(5):
     times.append(time.process_time() - start)
 context = plant.GetMyContextFromRoot(simulator.get_context())
 print(json.dumps({"seconds": sorted(times)[2], "last": float(plant.get_output_port().Eval(context)[0]),
-                  "version": getattr(pydrake, "__version__", "unknown")}))
+                  "version": version("drake")}))
 """
 
 
