@@ -75,6 +75,9 @@ def sceptics_view(found: MissingTorque, run: Run, at: str) -> list[Evidence]:
     note = (f"Run {run.name}. Nothing is assumed but the rig without any cause: the {what} is a random walk, smoothed "
             f"from command, encoder and accelerometer; its standard deviation is {np.median(found.sigma):.2g} {unit}. "
             "Jumps are rounded by the smoothing; what is wrong elsewhere in the rig shows here too.")
+    if found.mistrust > 1.0:
+        note += (f" No torque there explains the accelerometer, which was taken {found.mistrust:g} times noisier than "
+                 "at rest.")
     views = [_thin(f"{upper}, against time", "time", "time (s)", f"{what} ({unit})", found.t, found.torque, note=note)]
     for kind, label, x in (("speed", f"{at} {speed}", found.speed), ("angle", f"{at} {angle}", found.angle),
                            ("command", "command (counts)", found.command)):

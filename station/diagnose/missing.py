@@ -7,13 +7,15 @@ the run shows beyond that obeys the same modes, driven by one unknown torque d a
 
 x holds the modal coordinates (exact zero-order hold), y is measured minus simulated: encoder and accelerometer, the
 accelerometer with an offset that wanders slowly.  Sensors are read before the torque of row i acts, as everywhere.
-q is the one that makes the innovations most likely.  The smoother is that of Rauch, Tung and Striebel (AIAA J. 3,
-1965) in the form of Bryson and Frazier (Bierman, Automatica 9, 1973), which needs no inverse of a covariance.
+q makes the innovations most likely, together with a factor on the accelerometer's noise.  The smoother is that of
+Rauch, Tung and Striebel (AIAA J. 3, 1965) in the form of Bryson and Frazier (Bierman, Automatica 9, 1973), which needs
+no inverse of a covariance.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -34,6 +36,8 @@ from station.runs.run import Run
 
 SIZES = np.geomspace(1e-4, 1.0, 9)
 """Steps of the random walk that are tried first, of the motor's largest torque per sample."""
+MISTRUST = (1.0, 3.0, 10.0, 30.0, 100.0)
+"""Factors on the accelerometer's noise: a beam that the model has wrong must not be made up for by torque."""
 WANDER = 0.01
 """Step of the accelerometer's offset, counts per sample."""
 SETTLED = 1e-3
@@ -66,6 +70,8 @@ class MissingTorque:
     """What the drive carries with the effects that the rig holds, N m; 0 without a drive."""
     step: float
     """The likeliest step of the random walk per sample, N m (N)."""
+    mistrust: float
+    """How many times noisier than at rest the accelerometer is taken: above 1 no torque at this place explains it."""
 
 
 class _System(NamedTuple):
@@ -120,15 +126,17 @@ def missing_torque(rig: Rig, run: Run, at: str = "motor", *, accelerometer: bool
     forcing = np.zeros((len(run.t), system.f.shape[0]))
     known: dict[str, np.ndarray] = {}
     seen = excess
-    for _ in range(PASSES if laws else 1):
-        step = _likeliest(system, scale, seen, forcing)
-        x, variance = _smooth(*system[:4], system.process(step), system.process(scale), seen, forcing, modes)
+    passes = PASSES if laws else 1
+    for k in range(1, passes + 1):
+        factors = MISTRUST if use_accel and k == passes else MISTRUST[:1]
+        chosen, step, mistrust = _likeliest(system, scale, seen, forcing, factors)
+        x, variance = _smooth(*chosen[:4], system.process(step), system.process(scale), seen, forcing, modes)
         motion = _Motion(driven.angle + x[:, :modes] @ form.basis[:n].T, driven.speed + x[:, :modes] @ form.basis[n:].T)
-        if laws:
+        if k < passes:
             known, forcing, seen = _known(rig, parts, form, laws, motion, known, system, excess, period)
     return MissingTorque(run.t, _next(x[:, modes]), np.sqrt(_next(variance)), _between(motion.angle @ port),
                          _between(motion.speed @ port), run.command, _between(motion.speed[:, parts.base]),
-                         _drive_torque(rig, parts, motion, period), step)
+                         _drive_torque(rig, parts, motion, period), step, mistrust)
 
 
 def port_vector(rig: Rig, parts: Assembly, at: str) -> np.ndarray:
@@ -227,17 +235,27 @@ def _system(rig: Rig, parts: Assembly, form: ModalForm, port: np.ndarray, run: R
     return _System(f, h, np.array([s**2 + QUANTISATION for s in sigmas[:channels]]), start, noise)
 
 
-def _likeliest(system: _System, scale: float, excess: np.ndarray, forcing: np.ndarray) -> float:
-    """The random walk's step of greatest likelihood: a grid over four decades, refined by golden section."""
-    first = system.process(scale)
+def _likeliest(system: _System, scale: float, excess: np.ndarray, forcing: np.ndarray,
+               factors: Sequence[float]) -> tuple[_System, float, float]:
+    """The random walk's step and the accelerometer's mistrust of greatest likelihood; the system with that mistrust.
 
-    def cost(log: float) -> float:
-        return _misfit(*system[:4], system.process(math.exp(log)), first, excess, forcing)
+    Steps: a grid over four decades, refined by golden section.  Mistrust: ``factors`` in turn while the likelihood
+    grows.
+    """
+    first, grid, before = system.process(scale), np.log(SIZES * scale), math.inf
+    for factor in factors:
+        tried = system._replace(r=system.r * np.array([1.0, factor**2])[: excess.shape[1]])
 
-    grid = np.log(SIZES * scale)
-    best = int(np.argmin([cost(log) for log in grid]))
+        def cost(log: float, tried: _System = tried) -> float:
+            return _misfit(*tried[:4], tried.process(math.exp(log)), first, excess, forcing)
+
+        costs = [cost(log) for log in grid]
+        if min(costs) >= before:
+            break
+        before, best, trusted, chosen, mistrust = min(costs), int(np.argmin(costs)), cost, tried, factor
     around = (grid[max(best - 1, 0)], grid[min(best + 1, grid.size - 1)])
-    return math.exp(minimize_scalar(cost, bounds=around, method="bounded", options={"xatol": 0.1}).x)
+    found = minimize_scalar(trusted, bounds=around, method="bounded", options={"xatol": 0.1})
+    return chosen, math.exp(found.x), mistrust
 
 
 def law_values(rig: Rig, effect: Effect, x: np.ndarray, v: np.ndarray | float = 0.0, w: np.ndarray | float = 0.0,

@@ -133,7 +133,10 @@ def test_what_the_rig_holds_in_its_command_and_sensors_is_not_missing(row):
     for run, _ in made([row]):
         held, not_held = (missing_torque(rig, run) for rig in (RIG.with_effects([effect(row)]), RIG))
         assert rms(held.torque) < 0.01
-        assert rms(held.torque) < 0.35 * rms(not_held.torque)
+        if row["at"] == "accelerometer":  # no torque explains it
+            assert not_held.mistrust > 1.0
+        else:
+            assert rms(held.torque) < 0.35 * rms(not_held.torque)
 
 
 HELD = [{"effect": "cable_spring", "at": "base", "stiffness": 0.15, "rest": 0.3},
@@ -149,7 +152,7 @@ HELD = [{"effect": "cable_spring", "at": "base", "stiffness": 0.15, "rest": 0.3}
 def test_torques_that_the_rig_holds_anywhere_are_not_missing(row):
     for run, _ in made([row]):
         held, not_held = (missing_torque(rig, run) for rig in (RIG.with_effects([effect(row)]), RIG))
-        assert rms(held.torque) < 0.06  # of 2.1 N m that the motor has
+        assert rms(held.torque) < (0.1 if row["at"] == "clamp" else 0.05)  # the motor has 2.1 N m
         assert rms(held.torque) < 0.65 * rms(not_held.torque)
 
 
@@ -186,6 +189,18 @@ def test_rigs_without_beam_or_drive(table):
         assert rms(missing_torque(rig, run, "base").torque) > 0.5 * rms(true)
 
 
+def test_an_accelerometer_that_no_torque_explains_is_not_believed(monkeypatch):
+    """A softer beam in truth: torque is not made up for what the tip does; where torque explains it, it is believed."""
+    soft = {"effect": "parameter:beam.flexural_rigidity", "at": "", "value": 0.5 * 0.21}
+    runs = made([soft])
+    wary = [missing_torque(RIG, run) for run, _ in runs]
+    assert all(found.mistrust > 1.0 for found in wary)
+    assert all(missing_torque(RIG, run).mistrust == 1.0 for run, _ in made([FRICTION]))
+    monkeypatch.setattr("station.diagnose.missing.MISTRUST", (1.0,))
+    for (run, _), found in zip(runs, wary, strict=True):
+        assert rms(found.torque) < 0.7 * rms(missing_torque(RIG, run).torque)
+
+
 def test_without_the_accelerometer_the_encoder_alone_still_finds_friction():
     run, true = made([FRICTION])[1]
     both, alone = missing_torque(RIG, run), missing_torque(RIG, run, accelerometer=False)
@@ -204,7 +219,7 @@ def test_the_likeliest_step_is_the_one_that_made_the_data():
     noise[0, 0] = noise[1, 1] = 1.0
     system = _System(np.eye(2), np.array([[1.0, 0.0], [0.0, 1.0]]), np.array([0.2, 1.0]), np.zeros((2, 2)), noise)
     y = np.stack([walk + np.sqrt(0.2) * rng.standard_normal(rows), rng.standard_normal(rows)], axis=1)
-    assert 0.5 * step < _likeliest(system, 1.0, y, np.zeros((rows, 2))) < 2.0 * step
+    assert 0.5 * step < _likeliest(system, 1.0, y, np.zeros((rows, 2)), (1.0,))[1] < 2.0 * step
 
 
 @pytest.mark.parametrize("at", ["drive", "clamp", "tip", "nose"])
