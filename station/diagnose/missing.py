@@ -105,7 +105,8 @@ def missing_torque(rig: Rig, run: Run, at: str = "motor", *, accelerometer: bool
     it holds at any place are evaluated on the smoothed motion and are not part of the answer; of dry friction that is
     so only while the part moves: what holds a resting part stays in the answer, up to the friction's level.  Of
     sensors' effects the encoder's delay and eccentricity are undone; an accelerometer that the rig holds effects for
-    is not used, nor is it with ``accelerometer=False``.  UsageError: the rig has no such place.
+    is not used, nor is it with ``accelerometer=False``.  Angles count from encoder count 0: for a run with another
+    zero, effects that refer to an angle are evaluated elsewhere.  UsageError: the rig has no such place.
     """
     run.require_unbroken()
     model = build(rig.with_effects([e for e in rig.effects if e.stage in _COMMAND_PATH]))
