@@ -8,14 +8,12 @@ import zlib
 from dataclasses import dataclass, field
 from typing import Protocol
 
-import numpy as np
-
 from station.device.core import Board, Core
 from station.device.faults import Faults, FaultyLine
 from station.device.protocol import BoardFlags, InputFlags
 from station.errors import UsageError
 from station.model import stepper
-from station.model.simulate import Plant
+from station.model.simulate import Plant, initial_state
 from station.rig import Rig
 
 _INT16 = 0x7FFF
@@ -35,30 +33,31 @@ class Source(Protocol):
         """Hold the drive (counts) to the next tick; ``enabled``: the drive's enable pin, active in a session alone."""
 
 
-class _Coasting(Plant):
-    """A plant whose amplifier can be off: no torque then, not even that of a bias."""
+class _Rig(Plant):
+    """A plant that can be released again where it stands."""
 
-    def __init__(self, rig: Rig, start_angle: float, accel_offset: float) -> None:
-        super().__init__(rig, start_angle, accel_offset)
+    def release(self) -> None:
+        """At rest at the present angle, springs relaxed, lags and delays empty: as a run that is ``released``."""
         plan = self.model.plan
-        self._off = plan._replace(held=np.zeros_like(plan.held), switched=np.zeros_like(plan.switched),
-                                  tip_feedthrough=0.0)
-
-    def coast(self) -> None:
-        """One period with the amplifier off."""
-        stepper.tick(self._off, self._state, 0.0, self._offset, True, self._work, self._out)
+        self._state = initial_state(self.model, float(plan.base_angle @ self._state.z))
+        stepper.begin(plan, self._state)
+        self._out[:] = stepper.sense(plan, self._state, self._offset, True)
 
 
 class PlantSource:
-    """The plant model of a rig; ``noise`` is the accelerometer's standard deviation, counts."""
+    """The plant model of a rig, held still between sessions and released at the begin of each.
+
+    ``noise`` is the accelerometer's standard deviation, counts.
+    """
 
     def __init__(self, rig: Rig, angle: float, accel_offset: float, noise: float, seed: int) -> None:
-        self._plant = _Coasting(rig, angle, accel_offset)
+        self._plant = _Rig(rig, angle, accel_offset)
         self._noise = noise
         self._gauss = random.Random(seed).gauss
 
     def begin(self) -> None:
-        """A session begins; the rig does not care."""
+        """A session begins at the coming tick."""
+        self._plant.release()
 
     def sample(self) -> tuple[int, int]:
         """Encoder and accelerometer at this tick, counts; noise before rounding, cut to 16 bits."""
@@ -68,11 +67,9 @@ class PlantSource:
         return encoder, min(max(accel, -_INT16), _INT16)
 
     def advance(self, drive: int, enabled: bool) -> None:
-        """Hold the drive to the next tick; the amplifier is off where it is not enabled."""
+        """Hold the drive to the next tick; where it is not enabled a brake holds the rig."""
         if enabled:
             self._plant.advance(drive)
-        else:
-            self._plant.coast()
 
 
 @dataclass(frozen=True)
