@@ -20,6 +20,7 @@ from station.diagnose.problem import Layout, Problem
 
 STEP = 2e-3
 """Finite-difference step in whitened or logarithmic coordinates."""
+HUGE = 1e30
 LONGEST = 2.0
 """Longest step in any coordinate, prior sigmas or logarithm."""
 
@@ -118,11 +119,12 @@ def fit(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray | Non
     def look(x: np.ndarray, start: np.ndarray, offset: np.ndarray):
         outputs = problem.outputs(layout, x, start, offset)
         residuals = [m - y for m, y in zip(scaled, outputs, strict=True)]
-        costs = np.array([np.sum(e * e, axis=1) for e in residuals])
+        with np.errstate(over="ignore", invalid="ignore"):
+            costs = np.array([np.sum(e * e, axis=1) for e in residuals])
         away = np.stack([start - problem.start, offset - problem.offset])[: problem.channels]
         penalty = nuisance_prior @ away**2
         data = float(weights @ (costs.sum(axis=1) + penalty))
-        if not np.isfinite(data):
+        if not data < HUGE:
             return np.inf, np.inf, outputs, residuals, costs, penalty
         total = data if data <= samples else samples * (1.0 + np.log(data / samples))
         return total + float(prior @ (x - layout.prior_mean) ** 2), data, outputs, residuals, costs, penalty
@@ -169,6 +171,8 @@ def fit(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray | Non
 
     everything, effects = list(range(count + problem.channels)), list(range(constants, count))
     objective, data, outputs, residuals, costs, penalty = look(x, start, offset)
+    if objective == np.inf:
+        raise ArithmeticError("the fit's start does not simulate")
     fresh = jacobian is None
     jac = columns(everything, x, start, offset, outputs) if fresh else [j.copy() for j in jacobian]
     damping, renewed = 1e-3, fresh
@@ -186,6 +190,9 @@ def fit(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray | Non
         better = False
         for _ in range(5):
             step = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), force)
+            if not np.all(np.isfinite(step)):
+                damping *= 10.0
+                continue
             step *= min(1.0, LONGEST / max(np.max(np.abs(step)), 1e-300))
             nuisance = np.array([b[0] - b[1] @ step for b in back])
             new_start = start + nuisance[:, 0]

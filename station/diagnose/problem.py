@@ -28,6 +28,8 @@ FAST = {"truncation": 0.1, "longest": 1e-3}
 """Accuracy of the simulations within a fit: below 0.1 count."""
 ELEMENTS = 8
 """Fewest beam elements of the fits: with fewer the mesh's own error would look like physics."""
+FARTHEST = 8.0
+"""Largest logarithm of a constant over its nominal value that is ever simulated."""
 REALISATIONS = 16
 WIDE = 1.5
 """Prior sigma of the logarithm of a constant that a hypothesis sets free, and of an effect's size."""
@@ -187,11 +189,13 @@ class Problem:
         coordinates = []
         shifted = False
         gaps = 0
-        for k, (cls, _at) in enumerate(hypothesis.effects):
+        for k, (cls, at) in enumerate(hypothesis.effects):
+            usual = cls.guesses(self.rig, at)
             for name, info in cls.parameters().items():
                 value = guess[k][name]
                 log = info.positive and not info.periodic
-                scale = 1.0 if info.periodic else max(abs(value), 1e-12)
+                sizes = [abs(g[name]) for g in usual if g[name] != 0.0]
+                scale = 1.0 if info.periodic else max(abs(value), min(sizes, default=1.0))
                 coordinate = Coordinate(k, name, info, log, scale)
                 coordinates.append(coordinate)
                 if cls.stage is Stage.CLOCK and self.clock is not None:
@@ -213,7 +217,7 @@ class Problem:
         """The rig that a parameter vector describes."""
         n = len(self.paths)
         nominal = self.rig.constants()
-        logs = layout.root @ x[:n]
+        logs = np.clip(layout.root @ x[:n], -FARTHEST, FARTHEST)
         rig = self.rig.with_constants({p: nominal[p] * math.exp(v) for p, v in zip(self.paths, logs, strict=True)})
         values: list[dict[str, float]] = [{} for _ in layout.hypothesis.effects]
         for coordinate, value in zip(layout.coordinates, x[n:], strict=False):
@@ -247,12 +251,13 @@ class Problem:
 def clock_evidence(runs: Sequence[Run]) -> tuple[float, float] | None:
     """True over nominal sample period and its standard error, by regression of host_time on device_time.
 
-    None where no run has both.  The error is taken from the scatter of the residuals and, since receipt is never early,
+    None where no run has both; a simulated device's virtual time is no clock.  The error is taken from the scatter of the residuals and, since receipt is never early,
     is not allowed below 20 parts per million.
     """
     slopes, weights = [], []
     for run in runs:
-        if run.host_time is None or run.device_time is None:
+        virtual = getattr(run.metadata, "clock", None) == "virtual"
+        if run.host_time is None or run.device_time is None or virtual:
             continue
         x, y = run.device_time - run.device_time.mean(), run.host_time - run.host_time.mean()
         slope = float(x @ y / (x @ x))

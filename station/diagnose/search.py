@@ -24,6 +24,9 @@ LOG_PRIOR = -7.0
 LOG_PRIOR_PARAMETER = -1.5
 """Each further parameter of one effect: a law that holds a simpler one must earn its parameters."""
 
+STRAINED = 2.5
+"""Prior sigmas beyond which a fitted constant counts as strained."""
+
 
 @dataclass(frozen=True)
 class Effort:
@@ -73,8 +76,9 @@ class Search:
         """Log posterior of a set of causes, up to a constant."""
         hypothesis = found.layout.hypothesis
         further = sum(len(cls.parameters()) - 1 for cls, _ in hypothesis.effects)
-        return (found.log_evidence(temperature) + LOG_PRIOR * len(hypothesis.keys()) + LOG_PRIOR_PARAMETER * further
-                + self.clock_score(hypothesis))
+        score = (found.log_evidence(temperature) + LOG_PRIOR * len(hypothesis.keys()) + LOG_PRIOR_PARAMETER * further
+                 + self.clock_score(hypothesis))
+        return score if math.isfinite(score) else -math.inf
 
     def clock_score(self, hypothesis: Hypothesis) -> float:
         """What the clocks' own comparison says against a hypothesis that leaves the board's clock right."""
@@ -218,6 +222,19 @@ def _started(promise: Promise) -> dict[str, float]:
     return moved
 
 
+def _starts(found: Fit) -> list[np.ndarray]:
+    """Where an exact fit begins: the quick fit's end and, where that strains the constants, their nominal values.
+
+    Without the right cause the constants bend far to make up for it, into valleys that need not lead back.
+    """
+    constants = len(found.layout.paths)
+    if np.max(np.abs(found.x[:constants])) < STRAINED:
+        return [found.x]
+    relaxed = found.x.copy()
+    relaxed[:constants] = 0.0
+    return [relaxed, found.x]
+
+
 def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float, float], least: float) -> Fit:
     """Fit the most promising further causes on top of a parent; returns the best child, or the parent.
 
@@ -262,9 +279,8 @@ def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float
             exact.append(found)
     best = parent
     for index, found in enumerate(exact):
-        better = fit(problem, found.layout, found.x, found.start, found.offset, jacobian=found.jacobian,
-                     iterations=12)
-        search.keep(better)
+        for x in _starts(found):
+            search.keep(fit(problem, found.layout, x, found.start, found.offset, iterations=15))
         search.progress(f"fitted {found.layout.hypothesis.label}",
                         share[0] + (share[1] - share[0]) * (0.6 + 0.4 * (index + 1) / len(exact)))
     temperature = search.temperature()
@@ -288,8 +304,8 @@ def look_back(search: Search, found: Fit, pool: list[Candidate]) -> None:
             sizes = _sizes(found.layout, found.x)
             names = [(cls.name, at) for cls, at in hypothesis.effects]
             guess = sizes[names.index(other)] if other in names else {}
-            layout, x, jacobian = child_layout(search.problem, parent, by_key[other], guess)
-            parent = fit(search.problem, layout, x, parent.start, parent.offset, jacobian=jacobian, iterations=12)
+            layout, x, _ = child_layout(search.problem, parent, by_key[other], guess)
+            parent = fit(search.problem, layout, x, parent.start, parent.offset, iterations=15)
         search.keep(parent)
 
 
@@ -303,7 +319,7 @@ def recalibrate(search: Search, best: Fit) -> Fit:
     again = [search.fits[frozenset()], *keep]
     search.fits = {}
     for found in again:
-        search.keep(fit(problem, found.layout, found.x, found.start, found.offset, iterations=6))
+        search.keep(fit(problem, found.layout, found.x, found.start, found.offset, iterations=10))
     return search.best()
 
 
