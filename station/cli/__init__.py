@@ -12,10 +12,14 @@ TRACEBACK = "STATION_TRACEBACK"
 """Environment variable that shows the traceback of an error, for those who mend it."""
 
 INTERRUPTED = 130
+THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
+"""Environment variables read once, when NumPy is imported.  On matrices as small as a rig's, threads only wait."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command and exit with its status: 0 done, 1 the work failed, 2 wrong use, 130 interrupted."""
+    for name in THREADS:
+        os.environ.setdefault(name, "1")
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 import typer
 
+from station.cli import THREADS
 from station.cli.app import build
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -58,3 +60,16 @@ def test_help_imports_nothing_heavy():
               "print('heavy:', sorted(heavy & set(sys.modules)))")
     done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "heavy: []"
+
+
+@pytest.mark.parametrize(("given", "used"), [(None, "1"), ("2", "2")])
+def test_numpy_is_given_one_thread_unless_the_user_says_otherwise(given, used):
+    """NumPy reads these once, when it is imported: they stand before that."""
+    environment = {name: value for name, value in os.environ.items() if name not in THREADS}
+    environment |= {} if given is None else dict.fromkeys(THREADS, given)
+    script = (f"import os, sys\nfrom station.cli import main\nassert 'numpy' not in sys.modules\n"
+              f"try:\n    main(['--version'])\nexcept SystemExit:\n    pass\n"
+              f"print([os.environ[name] for name in {THREADS}], 'numpy' in sys.modules)")
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, env=environment, capture_output=True, text=True,
+                          check=True)
+    assert done.stdout.splitlines()[-1] == f"{[used, used]} False"
