@@ -59,6 +59,7 @@ def demo(
 
     from station.cli.diagnosis import save
     from station.cli.hidden import Sealed, draw
+    from station.cli.views import status_names
     from station.diagnose.diagnose import diagnose
     from station.rig import load_rig
     from station.view.recording import write_recording
@@ -87,7 +88,8 @@ def demo(
         say()
         say("4. The gain on a run kept apart, which no fit has seen")
         comparison = _gain(result, apart)
-        write_recording(folder / "recording.rrd", [*result.comparisons, comparison], nominal)
+        write_recording(folder / "recording.rrd", [*result.comparisons, comparison], nominal,
+                        status_names=status_names())
         say()
         say("5. The seal is opened")
         hidden = sealed.open()

@@ -15,6 +15,14 @@ from station.errors import UsageError
 app = typer.Typer()
 
 
+def status_names() -> dict[int, str]:
+    """The device's words for the status bits that say that something went wrong."""
+    from station.device.protocol import Status
+
+    return {int(bit): bit.name.lower().replace("_", " ") for bit in Status
+            if bit not in (Status.RUNNING, Status.MOVING)}
+
+
 @command(app, "view", "Runs", "station view step.mcap sweep.mcap --rig sflr --save runs.rrd")
 def view(
     runs: RunFiles,
@@ -35,10 +43,10 @@ def view(
     loaded = load_runs(runs)
     model = load_rig(rig) if rig is not None else rig_of(loaded[0], runs[0])
     if save is not None:
-        write_recording(save, loaded, model)
+        write_recording(save, loaded, model, status_names=status_names())
         say(f"{save}: {len(loaded)} runs")
         return
     with tempfile.TemporaryDirectory(prefix="station-") as folder:
         recording = Path(folder) / "runs.rrd"
-        write_recording(recording, loaded, model)
+        write_recording(recording, loaded, model, status_names=status_names())
         open_viewer([recording], web=web)

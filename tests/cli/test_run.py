@@ -103,3 +103,16 @@ def test_ctrl_c_ends_in_one_line_and_keeps_the_rows(tmp_path):
     assert process.returncode == 130, err
     assert err.splitlines()[-1] == "station: interrupted" and "Traceback" not in err
     assert len(load_run(out)) > 10
+
+
+def test_a_recording_tells_what_the_device_said(station, tmp_path):
+    out, recording = tmp_path / "run.mcap", tmp_path / "run.rrd"
+    assert station("run", "step", "--port", "sim://sflr?drop=0.05&on=command&seed=3", "--rig", "sflr", "--out",
+                   out).status == 0
+    assert station("view", out, "--save", recording).status == 0
+    reader = pytest.importorskip("rerun.chunk", reason="this Rerun reads back in another way").RrdReader(recording)
+    events = [chunk.to_record_batch() for chunk in reader.stream() if str(chunk.entity_path).endswith("/events")]
+    said = {text for batch in events for name, column in zip(batch.schema.names, batch.columns, strict=True)
+            if "text" in name.lower() for cell in column.to_pylist() for text in cell}
+    assert "device says: held" in said
+    assert "device says: running" not in said and "device says: moving" not in said
