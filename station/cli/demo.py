@@ -131,26 +131,24 @@ def _planned(rig: Rig) -> list[Run]:
 
 
 def _measure(nominal: Rig, hidden: Path, folder: Path, rng: np.random.Generator, realtime: bool) -> dict[str, Run]:
-    """Run all tests on the hidden rig; each begins with the arm at rest at the encoder's zero."""
+    """Run all tests on the hidden rig, each from where the one before left the arm."""
     from station.cli.controllers import controller_spec
     from station.cli.run import perform
     from station.device.port import open_port
     from station.runs import McapLogWriter, load_run
 
     shown = table("", "   run", "controller", "test", "counts", "samples", "lost, late")
+    options = {"rig": hidden, "noise": NOISE, "accel_offset": round(rng.uniform(-5.0, 5.0), 2),
+               "seed": int(rng.integers(2**31)), "speed": int(realtime)}
     runs = {}
-    for name, (controller, test) in {**TESTS, APART[0]: APART[1]}.items():
-        options = {"rig": hidden, "noise": NOISE, "accel_offset": round(rng.uniform(-5.0, 5.0), 2),
-                   "seed": int(rng.integers(2**31)), "speed": int(realtime)}
-        out = folder / f"{name}.mcap"
-        with open_port(f"sim://hidden?{urlencode(options)}") as line:
-            result = perform(line, nominal, controller_spec(controller, nominal.sample_rate), test,
-                             partial(McapLogWriter, out), accel_zero=0.0, relative=False,
-                             metadata={"test": test, "port": "sim://(sealed)", "zero_id": "demo"})
-        counts = result.counts
-        row(shown, f"   {name}", controller, test["kind"], number(test["amplitude"]), counts.samples,
-            f"{counts.lost}, {counts.unanswered}")
-        runs[name] = load_run(out)
+    with open_port(f"sim://hidden?{urlencode(options)}") as line:
+        for name, (controller, test) in {**TESTS, APART[0]: APART[1]}.items():
+            out = folder / f"{name}.mcap"
+            counts = perform(line, nominal, controller_spec(controller, nominal.sample_rate), test,
+                             partial(McapLogWriter, out), metadata={"test": test, "port": "sim://(sealed)"}).counts
+            row(shown, f"   {name}", controller, test["kind"], number(test["amplitude"]), counts.samples,
+                f"{counts.lost}, {counts.unanswered}")
+            runs[name] = load_run(out)
     console().print(shown)
     return runs
 
