@@ -136,7 +136,8 @@ def _wrong(runs: Sequence[Run], before: Sequence[Simulation]) -> list[Wrong]:
         for name in measured:
             m, s = measured[name], simulated[name]
             if name == "overshoot_percent" and m is not None and s is not None and abs(m - s) > 1.5 * count:
-                found.append((abs(m - s), Wrong(run=run.name, channel="encoder", measure=name, simulated=s, measured=m)))
+                found.append((abs(m - s), Wrong(run=run.name, channel="encoder", measure=name, simulated=s,
+                                                measured=m)))
             elif name == "settling_time" and m != s and (m is None or s is None or abs(m - s) > 0.05):
                 found.append((0.0, Wrong(run=run.name, channel="encoder", measure=name, simulated=s, measured=m)))
         if not measured:

@@ -149,7 +149,8 @@ def remainder(search: Search, found: Fit) -> Remainder:
     size, slow = [], []
     for e, share in zip(found.residuals, search.problem.share, strict=True):
         independent = share.sum(axis=1)
-        size.append((np.sum(e * e, axis=1) - independent) / (independent * np.sqrt(3.0 / independent + 3.0 / search.problem.noise_rows)))
+        spread = np.sqrt(3.0 / independent + 3.0 / search.problem.noise_rows)
+        size.append((np.sum(e * e, axis=1) / independent - 1.0) / spread)
         rows = e.shape[1] // SPAN * SPAN
         sums = e[:, :rows].reshape(len(e), -1, SPAN).sum(axis=2) ** 2
         expected = np.minimum(np.sqrt(share[:, :rows]).reshape(len(e), -1, SPAN).sum(axis=2) ** 2, SPAN)

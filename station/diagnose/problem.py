@@ -3,8 +3,8 @@
 Residuals are (measured - simulated) times a scale per sample, the simulation unrounded so that it is smooth in its
 parameters.  The scale is sqrt(share)/sigma; sigma^2 holds sensor noise, rounding, and what rounding inside the loop
 feeds back (``calibrate``).  While the encoder stands still its rounding error stands still too, so many samples say no
-more than one: ``share`` is the number of independent rounding errors per sample, the counts crossed.  The rig's constants enter as w with
-log(c/c_nominal) = L w, L L^T their prior covariance, so that their prior is |w|^2; every other parameter has a prior
+more than one: ``share`` is the number of independent rounding errors per sample, the counts crossed.  The rig's
+constants enter as w with log(c/c_nominal) = L w, L L^T their prior covariance, so that their prior is |w|^2; every other parameter has a prior
 of its own.  Per run the starting angle and the accelerometer's offset are nuisances, estimated always.
 """
 
@@ -30,6 +30,8 @@ ELEMENTS = 8
 """Fewest beam elements of the fits: with fewer the mesh's own error would look like physics."""
 FARTHEST = 8.0
 """Largest logarithm of a constant over its nominal value that is ever simulated."""
+MISFIT = 3.0
+"""Long-run variance of what is left, over the noise's, from which on it is taken for a misfit."""
 REALISATIONS = 16
 WIDE = 1.5
 """Prior sigma of the logarithm of a constant that a hypothesis sets free, and of an effect's size."""
@@ -70,7 +72,7 @@ class Hypothesis:
         names = [f"{cls.name}@{at}" for cls, at in self.effects] + [f"parameter:{c}" for c in self.constants]
         return " + ".join(names) or "nothing"
 
-    def keys(self) -> list[tuple[str, str]]:
+    def causes(self) -> list[tuple[str, str]]:
         """(effect, at) of every cause, as the diagnosis file names them."""
         return [(cls.name, at) for cls, at in self.effects] + [(f"parameter:{c}", "") for c in self.constants]
 
@@ -114,6 +116,7 @@ class Problem:
         self.measured = [np.stack([r.encoder, r.accel]) if self.has_accel else r.encoder[None, :] for r in self.runs]
         self.share = [self._shares(r) for r in self.runs]
         self.scale = [np.sqrt(share) / self.sigma[: self.channels, None] for share in self.share]
+        self.temper = np.ones((len(self.runs), self.channels))
         self.chatter = [np.zeros_like(share) for share in self.share]
         self.start = np.array([self._start_angle(r) for r in self.runs])
         self.offset = np.array([self._offset(r) for r in self.runs])
@@ -165,7 +168,26 @@ class Problem:
                 power = float(np.mean(scatter**2)) * REALISATIONS / (REALISATIONS - 1)
                 lasting = float(np.mean([_correlation_time(row) for row in scatter]))
                 fed_back = power * lasting
-                self.scale[r][c] = np.sqrt(self.share[r][c] / (self.sigma[c] ** 2 + fed_back))
+                self.scale[r][c] = np.sqrt(self.share[r][c] / (self.sigma[c] ** 2 + fed_back) / self.temper[r, c])
+
+    def weigh(self, residuals: list[np.ndarray]) -> None:
+        """Weigh each run and channel by what a model that misses something leaves there.
+
+        A misfit is no noise: it is larger than the noise and lasts.  Its long-run variance, in units of the noise's,
+        divides the weight of its run and channel, so that no one channel's misfit decides alone.
+        """
+        for r, (e, share) in enumerate(zip(residuals, self.share, strict=True)):
+            for c in range(self.channels):
+                left = float(e[c] @ e[c]) / float(share[c].sum()) * _correlation_time(e[c])
+                factor = max(left, 1.0) if left > MISFIT else 1.0
+                self.temper[r, c] *= factor
+                self.scale[r][c] /= math.sqrt(factor)
+
+    def unweigh(self) -> None:
+        """Back to the noise's own weights."""
+        for r in range(len(self.runs)):
+            self.scale[r] *= np.sqrt(self.temper[r])[:, None]
+        self.temper[:] = 1.0
 
     def _start_angle(self, run: Run) -> float:
         return float(np.mean(run.encoder[: max(min(rest_rows(run), 100), 1)])) * self.rig.angle_per_count
@@ -251,8 +273,8 @@ class Problem:
 def clock_evidence(runs: Sequence[Run]) -> tuple[float, float] | None:
     """True over nominal sample period and its standard error, by regression of host_time on device_time.
 
-    None where no run has both; a simulated device's virtual time is no clock.  The error is taken from the scatter of the residuals and, since receipt is never early,
-    is not allowed below 20 parts per million.
+    None where no run has both; a simulated device's virtual time is no clock.  The error is taken from the scatter of
+    the residuals and, since receipt is never early, is not allowed below 20 parts per million.
     """
     slopes, weights = [], []
     for run in runs:

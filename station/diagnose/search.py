@@ -16,7 +16,7 @@ import numpy as np
 
 from station.diagnose.candidates import Candidate, candidates
 from station.diagnose.estimate import Fit, eliminate, fit
-from station.diagnose.problem import Hypothesis, Layout, Problem
+from station.diagnose.problem import MISFIT, Hypothesis, Layout, Problem
 from station.model.effects import Stage
 
 LOG_PRIOR = -7.0
@@ -40,7 +40,7 @@ class Effort:
     """Most causes in one hypothesis."""
 
 
-EFFORTS = {"quick": Effort(8, 2, 2), "full": Effort(14, 4, 3)}
+EFFORTS = {"quick": Effort(8, 2, 2), "full": Effort(14, 4, 4)}
 
 
 @dataclass
@@ -76,7 +76,7 @@ class Search:
         """Log posterior of a set of causes, up to a constant."""
         hypothesis = found.layout.hypothesis
         further = sum(len(cls.parameters()) - 1 for cls, _ in hypothesis.effects)
-        score = (found.log_evidence(temperature) + LOG_PRIOR * len(hypothesis.keys()) + LOG_PRIOR_PARAMETER * further
+        score = (found.log_evidence(temperature) + LOG_PRIOR * len(hypothesis.causes()) + LOG_PRIOR_PARAMETER * further
                  + self.clock_score(hypothesis))
         return score if math.isfinite(score) else -math.inf
 
@@ -94,7 +94,7 @@ class Search:
 
     def keep(self, found: Fit) -> None:
         """Remember a fit; of the same causes the better one."""
-        key = frozenset(found.layout.hypothesis.keys())
+        key = frozenset(found.layout.hypothesis.causes())
         if key not in self.fits or found.objective < self.fits[key].objective:
             self.fits[key] = found
 
@@ -104,7 +104,11 @@ def base_fit(problem: Problem) -> Fit:
     layout = problem.layout(Hypothesis(), {})
     found = fit(problem, layout, layout.prior_mean.copy(), exact_end=False)
     problem.calibrate(layout, found.x, found.start, found.offset)
-    return fit(problem, layout, found.x, found.start, found.offset)
+    found = fit(problem, layout, found.x, found.start, found.offset)
+    if found.chi2 > MISFIT * problem.samples.sum():
+        problem.weigh(found.residuals)
+        found = fit(problem, layout, found.x, found.start, found.offset)
+    return found
 
 
 def child_layout(problem: Problem, parent: Fit, candidate: Candidate, guess: dict[str, float],
@@ -273,20 +277,24 @@ def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float
     exact = []
     seen = set()
     for found in fitted:
-        key = frozenset(found.layout.hypothesis.keys())
+        key = frozenset(found.layout.hypothesis.causes())
         if key not in seen and len(seen) < effort.exact:
             seen.add(key)
             exact.append(found)
     best = parent
     for index, found in enumerate(exact):
         for x in _starts(found):
-            search.keep(fit(problem, found.layout, x, found.start, found.offset, iterations=15))
+            try:
+                search.keep(fit(problem, found.layout, x, found.start, found.offset, iterations=15))
+            except ArithmeticError:
+                continue  # that start does not simulate; the quick fit stands
         search.progress(f"fitted {found.layout.hypothesis.label}",
                         share[0] + (share[1] - share[0]) * (0.6 + 0.4 * (index + 1) / len(exact)))
     temperature = search.temperature()
     for found in search.fits.values():
-        keys = set(found.layout.hypothesis.keys())
-        if set(parent.layout.hypothesis.keys()) < keys and search.score(found, temperature) > search.score(best, temperature):
+        keys = set(found.layout.hypothesis.causes())
+        above = search.score(found, temperature) > search.score(best, temperature)
+        if above and set(parent.layout.hypothesis.causes()) < keys:
             best = found
     return best
 
@@ -295,8 +303,8 @@ def look_back(search: Search, found: Fit, pool: list[Candidate]) -> None:
     """Fit every set with one cause less, so that each cause must hold against its own absence."""
     hypothesis = found.layout.hypothesis
     by_key = {c.key: c for c in pool}
-    for key in hypothesis.keys():
-        rest = [k for k in hypothesis.keys() if k != key]
+    for key in hypothesis.causes():
+        rest = [k for k in hypothesis.causes() if k != key]
         if frozenset(rest) in search.fits or not rest:
             continue
         parent = search.fits[frozenset()]
@@ -310,12 +318,16 @@ def look_back(search: Search, found: Fit, pool: list[Candidate]) -> None:
 
 
 def recalibrate(search: Search, best: Fit) -> Fit:
-    """Judge the noise that rounding feeds back on the best hypothesis, and refit the leading ones with it."""
+    """Judge noise and misfit on the best hypothesis, and refit the leading ones with what it says."""
     problem = search.problem
+    problem.unweigh()
     problem.calibrate(best.layout, best.x, best.start, best.offset)
+    again = fit(problem, best.layout, best.x, best.start, best.offset, iterations=0)
+    if again.chi2 > MISFIT * problem.samples.sum():
+        problem.weigh(again.residuals)
     temperature = search.temperature()
     leading = sorted(search.fits.values(), key=lambda f: -search.score(f, temperature))
-    keep = [f for f in leading if f.layout.hypothesis.keys()][: search.effort.exact]
+    keep = [f for f in leading if f.layout.hypothesis.causes()][: search.effort.exact]
     again = [search.fits[frozenset()], *keep]
     search.fits = {}
     for found in again:
@@ -331,7 +343,7 @@ def explore(problem: Problem, effort: Effort, progress: Callable[[str, float], N
     search.keep(parent)
     pool = candidates(problem.rig)
     for rung in range(effort.rungs):
-        held = set(parent.layout.hypothesis.keys())
+        held = set(parent.layout.hypothesis.causes())
         share = (0.1 + 0.8 * rung / effort.rungs, 0.1 + 0.8 * (rung + 1) / effort.rungs)
         child = climb(search, parent, [c for c in pool if c.key not in held], share, 4.0 if rung == 0 else 10.0)
         if child is parent:
@@ -342,6 +354,8 @@ def explore(problem: Problem, effort: Effort, progress: Callable[[str, float], N
         else:
             look_back(search, parent, pool)
             parent = search.best()
-        if len(parent.layout.hypothesis.keys()) <= rung:
+            if np.any(problem.temper > 1.0):
+                parent = recalibrate(search, parent)
+        if len(parent.layout.hypothesis.causes()) <= rung:
             break
     return search

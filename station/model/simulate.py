@@ -260,8 +260,9 @@ def controller_arrays(spec: dict, rig: Rig, accel_zero: float = 0.0) -> stepper.
                               float(spec.get("accel_zero", accel_zero)))
 
 
-def simulate_model(model: Model, run: Run, *, rounding: bool | Literal["inside"] = True, start_angle: float = 0.0, zero: float = 0.0,
-                   accel_offset: float = 0.0, gap_place: float = 0.0, states: bool = False) -> Simulation:
+def simulate_model(model: Model, run: Run, *, rounding: bool | Literal["inside"] = True, start_angle: float = 0.0,
+                   zero: float = 0.0, accel_offset: float = 0.0, gap_place: float = 0.0,
+                   states: bool = False) -> Simulation:
     """As ``simulate``, with a rig that has been built.
 
     ``rounding`` "inside" rounds what the compensator sees and sends, but returns what was rounded.
