@@ -4,8 +4,9 @@ Residuals are (measured - simulated) times a scale per sample, the simulation un
 parameters.  The scale is sqrt(share)/sigma; sigma^2 holds sensor noise, rounding, and what rounding inside the loop
 feeds back (``calibrate``).  While the encoder stands still its rounding error stands still too, so many samples say no
 more than one: ``share`` is the number of independent rounding errors per sample, the counts crossed.  The rig's
-constants enter as w with log(c/c_nominal) = L w, L L^T their prior covariance, so that their prior is |w|^2; every other parameter has a prior
-of its own.  Per run the starting angle and the accelerometer's offset are nuisances, estimated always.
+constants enter as w with log(c/c_nominal) = L w, L L^T their prior covariance, so that their prior is |w|^2; every
+other parameter has a prior of its own.  Per run the starting angle and the accelerometer's offset are nuisances,
+estimated always.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ from station.model.simulate import Model, Simulation, build, simulate_model
 from station.rig import Rig
 from station.runs.run import Run
 
-FAST = {"truncation": 0.1, "longest": 1e-3}
-"""Accuracy of the simulations within a fit: below 0.1 count."""
+TRUNCATION, LONGEST, LONGEST_GAP = 0.1, 1e-3, 5e-4
+"""Accuracy of the simulations within a fit (counts, s, s where a gap closes with a blow): below 0.1 count."""
 ELEMENTS = 8
 """Fewest beam elements of the fits: with fewer the mesh's own error would look like physics."""
 FARTHEST = 8.0
@@ -148,7 +149,7 @@ class Problem:
         pairs of simulations, with and without rounding, started within one count of each other, give that mean, which
         is added to every simulation, and the scatter about it, which is added to the noise (times how long it lasts).
         """
-        model = build(self.rig_of(layout, x), **FAST)
+        model = self.model(layout, x)
         rng = np.random.default_rng(1)
 
         def pair(task: tuple[int, float, float]) -> np.ndarray:
@@ -248,6 +249,10 @@ class Problem:
                    for (cls, at), v in zip(layout.hypothesis.effects, values, strict=True)]
         return rig.with_effects((*self.rig.effects, *effects)) if effects else rig
 
+    def model(self, layout: Layout, x: np.ndarray) -> Model:
+        """The rig that a parameter vector describes, made ready for the many simulations of a fit."""
+        return build(self.rig_of(layout, x), TRUNCATION, LONGEST_GAP if layout.gap_places else LONGEST)
+
     def simulate_run(self, model: Model, layout: Layout, x: np.ndarray, index: int, start: float,
                      offset: float, rounding: bool | Literal["inside"] = False) -> Simulation:
         """One run on a built rig with its nuisances."""
@@ -261,7 +266,7 @@ class Problem:
     def outputs(self, layout: Layout, x: np.ndarray, start: np.ndarray, offset: np.ndarray,
                 only: Sequence[int] | None = None) -> list[np.ndarray]:
         """Simulated channels per run, each (channels, n), scaled."""
-        model = build(self.rig_of(layout, x), **FAST)
+        model = self.model(layout, x)
         found = []
         for i in range(len(self.runs)) if only is None else only:
             simulation = self.simulate_run(model, layout, x, i, start[i], offset[i])

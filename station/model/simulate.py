@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import json
 import math
 from dataclasses import dataclass
 from typing import Literal
@@ -252,7 +254,13 @@ def _balance(model: Model, state: stepper.State, q: np.ndarray) -> None:
 
 def controller_arrays(spec: dict, rig: Rig, accel_zero: float = 0.0) -> stepper.Controller:
     """A run's controller as the stepper takes it."""
-    comp = Compensator.from_spec(spec, rig.sample_rate, rig.amplifier.limit)
+    return _controller_arrays(json.dumps(spec), rig.sample_rate, rig.amplifier.limit, accel_zero)
+
+
+@functools.lru_cache(maxsize=64)
+def _controller_arrays(text: str, sample_rate: float, limit: float, accel_zero: float) -> stepper.Controller:
+    spec = json.loads(text)
+    comp = Compensator.from_spec(spec, sample_rate, limit)
     order = max(comp.numerator.size, comp.denominator.size)
     num, den = np.zeros(order), np.zeros(order)
     num[: comp.numerator.size], den[: comp.denominator.size] = comp.numerator, comp.denominator
