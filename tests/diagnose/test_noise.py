@@ -1,0 +1,75 @@
+"""Noise is taken from rests, never from what moves, and rounding is not counted twice."""
+
+import numpy as np
+import pytest
+
+from station.diagnose.noise import ACCEL_DEFAULT, noise_sigmas, rest_rows
+from station.runs.run import Run, RunMetadata
+
+
+def made(rest: int, sigma: float = 1.0, seed: int = 0, *, rows: int = 600, offset: float = 2.3,
+         encoder_sigma: float = 0.0, accel: bool = True) -> Run:
+    """Rest, then a step with a large motion that no noise estimate may see."""
+    rng = np.random.default_rng(seed)
+    reference = np.where(np.arange(rows) >= rest, 80.0, 0.0)
+    moving = np.clip(np.arange(rows) - rest, 0, None)
+    encoder = np.floor(0.5 * moving + encoder_sigma * rng.standard_normal(rows) + 0.5)
+    reading = np.floor(30.0 * np.sin(0.2 * moving) + offset + sigma * rng.standard_normal(rows) + 0.5)
+    return Run("run", np.arange(rows) / 500.0, reference, 2.0 * (reference - encoder) * (reference > 0), encoder,
+               reading if accel else None, RunMetadata(controller={"kind": "p", "gain": 2.0}))
+
+
+def test_the_rest_ends_where_something_is_asked_or_moves():
+    run = made(100)
+    assert rest_rows(run) == 100
+    early = run.encoder.copy()
+    early[40:] += 3.0
+    assert rest_rows(Run("run", run.t, run.reference, run.command, early, run.accel, run.metadata)) == 40
+    pushed = run.command.copy()
+    pushed[25] = 5.0
+    assert rest_rows(Run("run", run.t, run.reference, pushed, run.encoder, run.accel, run.metadata)) == 25
+
+
+def test_one_count_of_flicker_is_no_motion_and_a_run_at_rest_is_rest_throughout():
+    run = made(100)
+    flicker = run.encoder.copy()
+    flicker[10:100:7] = 1.0
+    assert rest_rows(Run("run", run.t, run.reference, run.command, flicker, run.accel, run.metadata)) >= 100
+    assert rest_rows(made(600)) == 600
+
+
+@pytest.mark.parametrize("sigma", [0.8, 1.3, 4.0])
+def test_the_accelerometers_noise_is_found_before_rounding(sigma):
+    runs = [made(100, sigma, seed) for seed in range(12)]
+    encoder, accel, rows = noise_sigmas(runs)
+    assert accel == pytest.approx(sigma, rel=0.06)
+    assert encoder == 0.0
+    assert rows == 12 * 99
+
+
+def test_runs_with_different_offsets_do_not_add_noise():
+    runs = [made(100, 1.0, seed, offset=20.0 * seed) for seed in range(12)]
+    assert noise_sigmas(runs)[1] == pytest.approx(1.0, rel=0.06)
+
+
+def test_an_encoder_that_dithers_shows_its_noise():
+    runs = [made(100, seed=seed, encoder_sigma=0.45) for seed in range(12)]
+    still = [run for run in runs if rest_rows(run) == 100]
+    assert len(still) > 6
+    assert noise_sigmas(still)[0] == pytest.approx(0.45, abs=0.06)
+
+
+def test_a_silent_sensor_has_no_noise_but_its_rounding():
+    assert noise_sigmas([made(100, 0.0)])[:2] == (0.0, 0.0)
+
+
+def test_without_a_rest_the_default_stands_and_rests_on_one_row():
+    assert noise_sigmas([made(5, 3.0), made(0, 3.0)]) == (0.0, pytest.approx(ACCEL_DEFAULT), 1)
+    # One run with a rest is enough, whatever the others do.
+    encoder, accel, rows = noise_sigmas([made(5, 3.0), made(400, 3.0)])
+    assert accel == pytest.approx(3.0, rel=0.15) and rows == 399
+
+
+def test_a_rig_without_accelerometer_rests_on_its_encoder():
+    encoder, accel, rows = noise_sigmas([made(100, accel=False, encoder_sigma=0.0)])
+    assert (encoder, accel, rows) == (0.0, pytest.approx(ACCEL_DEFAULT), 99)
