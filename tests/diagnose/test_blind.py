@@ -1,0 +1,45 @@
+"""Rigs with a hidden cause, made by the independent generator and diagnosed blind.
+
+One rule for every case, fixed beforehand: five runs as the generator draws them on a rig drawn within its
+uncertainty; every hidden effect sized to a severity between 400 and 10^5, that is, chi squared that the best
+re-fitted rig without it loses, plain to a lab (from twice the contract's "clear" on); every case a rig of its own, two
+per effect, from seeds that are 900 and above and never used to tune anything; full effort; nothing but the runs and
+the nominal rig given.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+
+from tests.diagnose.blind import Task, judge_all, table
+
+CLEAN = 3
+FIRST_SEED = 900
+EFFECTS = [("coulomb_friction", "motor"), ("dead_zone", None), ("backlash", None), ("input_delay", None),
+           ("quadratic_drag", None), ("cable_spring", None), ("accelerometer_lag", None), ("command_bias", None),
+           ("load_friction", None), ("accelerometer_saturation", None)]
+WANTED = 0.9
+
+
+def cases() -> list[Task]:
+    """Two per effect, then the clean rigs; each has the next seed."""
+    hidden = [effect for effect in EFFECTS for _ in range(2)] + CLEAN * [(None, None)]
+    return [Task(FIRST_SEED + i, *effect) for i, effect in enumerate(hidden)]
+
+
+@pytest.mark.timeout(1500)
+def test_hidden_causes_are_named_and_clean_rigs_are_not_accused(capsys):
+    outcomes = {outcome.label: outcome for outcome in judge_all(cases())}
+    ordered = [outcomes[task.label] for task in cases()]
+    with capsys.disabled():
+        print("\n" + table(ordered), file=sys.stderr, flush=True)
+    hidden = [outcome for outcome in ordered if not outcome.clean]
+    named = [outcome for outcome in hidden if outcome.named]
+    accused = [outcome.label for outcome in ordered if outcome.clean and outcome.causes]
+    worse = [outcome.label for outcome in named if not outcome.better]
+    missed = [outcome.label for outcome in hidden if not outcome.named]
+    assert not accused, f"clean rigs accused: {accused}"
+    assert not worse, f"named, but no better on held-out runs: {worse}"
+    assert len(named) >= WANTED * len(hidden), f"named {len(named)} of {len(hidden)}, not {missed}"
