@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -48,8 +49,8 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     if effort not in EFFORTS:
         raise UsageError(f"--effort: {effort!r} is none of {', '.join(EFFORTS)}")
     report = progress or (lambda text, share: None)
-    runs = _usable(rig, runs)
-    problem = Problem(rig, runs)
+    runs, windows = _usable(rig, runs)
+    problem = Problem(rig, runs, windows=windows)
     search = explore(problem, EFFORTS[effort], report)
     found_odds = odds(search)
     best_keys = found_odds.sets[0][0]
@@ -81,13 +82,14 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     report("choosing the next experiment", 0.96)
     diagnosis = Diagnosis(verdict=verdict, wrong=_wrong(runs, before), causes=causes, gain=bought,
                           next_experiment=next_experiment(search, found_odds, verdict))
-    pictures = evidence(refit_rig, extended, runs, [(c.effect, c.at) for c in causes])
+    pictures = evidence(refit_rig, extended, runs[:1] if windows else runs, [(c.effect, c.at) for c in causes])
     report("done", 1.0)
     return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, _ranking(search, found_odds), pictures,
                            constants, _notes(search, left), time.perf_counter() - begun)
 
 
-def _usable(rig: Rig, runs: Sequence[Run]) -> list[Run]:
+def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice] | None]:
+    """The runs, checked; a run that is alone is judged half by half."""
     if not runs:
         raise UsageError("diagnose: at least one run is wanted")
     for run in runs:
@@ -97,13 +99,11 @@ def _usable(rig: Rig, runs: Sequence[Run]) -> list[Run]:
             run.require_unbroken()
         if rig.accelerometer is not None and run.accel is None:
             raise WorkError(f"{run.name}: no accelerometer column, but rig {rig.name} has an accelerometer")
-    if len(runs) == 1:
-        return _halves(runs[0])
-    return list(runs)
-
-
-def _halves(run: Run) -> list[Run]:
-    raise WorkError(f"{run.name}: one run alone cannot be judged on unseen data; give at least two")
+    if len(runs) > 1:
+        return list(runs), None
+    half = len(runs[0].t) // 2
+    return ([replace(runs[0], name=f"{runs[0].name} ({part} half)") for part in ("first", "second")],
+            [slice(0, half), slice(half, None)])
 
 
 def _verdict(search: Search, found: Odds, best: frozenset, left: Remainder, over_refit: Gain, over_nominal: Gain,

@@ -70,10 +70,10 @@ def gain(problem: Problem, names: list[str], before: list[Simulation], after: li
         error = {"before": 0.0, "after": 0.0}
         spread = explained = explainable = 0.0
         counted = False
-        for run, old, new in zip(problem.runs, before, after, strict=True):
-            measured = getattr(run, channel)
+        for run, rows, old, new in zip(problem.runs, problem.windows, before, after, strict=True):
+            measured = getattr(run, channel)[rows]
             least = floor(measured, problem.noise[c])
-            b, a = nrmse(measured, getattr(old, channel)), nrmse(measured, getattr(new, channel))
+            b, a = nrmse(measured, getattr(old, channel)[rows]), nrmse(measured, getattr(new, channel)[rows])
             size = float(np.sum((measured - measured.mean()) ** 2))
             if size == 0.0:
                 continue

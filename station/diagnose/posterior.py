@@ -147,13 +147,15 @@ def remainder(search: Search, found: Fit) -> Remainder:
     samples, and (sum sqrt(share))^2 where one error lasts all through.
     """
     size, slow = [], []
-    for e, share in zip(found.residuals, search.problem.share, strict=True):
-        independent = share.sum(axis=1)
-        spread = np.sqrt(3.0 / independent + 3.0 / search.problem.noise_rows)
+    problem = search.problem
+    for scaled, share, temper in zip(found.residuals, problem.share, problem.temper, strict=True):
+        e = scaled * np.sqrt(temper)[:, None]
+        independent = np.maximum(share.sum(axis=1), 1e-9)
+        spread = np.sqrt(3.0 / independent + 3.0 / problem.noise_rows)
         size.append((np.sum(e * e, axis=1) / independent - 1.0) / spread)
         rows = e.shape[1] // SPAN * SPAN
         sums = e[:, :rows].reshape(len(e), -1, SPAN).sum(axis=2) ** 2
         expected = np.minimum(np.sqrt(share[:, :rows]).reshape(len(e), -1, SPAN).sum(axis=2) ** 2, SPAN)
         ratio = sums.sum(axis=1) - expected.sum(axis=1)
-        slow.append(ratio / np.sqrt(3.0 * np.sum(expected**2, axis=1)))
+        slow.append(ratio / np.sqrt(np.maximum(3.0 * np.sum(expected**2, axis=1), 1e-9)))
     return Remainder(np.array(size), np.array(slow))

@@ -32,7 +32,9 @@ ELEMENTS = 8
 FARTHEST = 8.0
 """Largest logarithm of a constant over its nominal value that is ever simulated."""
 MISFIT = 3.0
-"""Long-run variance of what is left, over the noise's, from which on it is taken for a misfit."""
+"""Variance of what is left, over the noise's, from which on it is taken for a misfit."""
+FEATURES = 60.0
+"""Independent errors that a misfit counts for, per run and channel: a few seconds of a few hertz."""
 REALISATIONS = 16
 WIDE = 1.5
 """Prior sigma of the logarithm of a constant that a hypothesis sets free, and of an effect's size."""
@@ -105,7 +107,10 @@ class Layout:
 class Problem:
     """The data side; see the module."""
 
-    def __init__(self, rig: Rig, runs: Sequence[Run], threads: int = 2) -> None:
+    def __init__(self, rig: Rig, runs: Sequence[Run], threads: int = 2, windows: Sequence[slice] | None = None,
+                 ) -> None:
+        """``windows``: the rows of each run that count (all of them by default)."""
+        self.windows = list(windows) if windows is not None else [slice(None)] * len(runs)
         if rig.beam is not None and rig.beam.elements < ELEMENTS:
             rig = rig.model_copy(update={"beam": rig.beam.model_copy(update={"elements": ELEMENTS})})
         self.rig, self.runs = rig, list(runs)
@@ -115,7 +120,7 @@ class Problem:
         self.sigma = np.array([math.sqrt(encoder**2 + QUANTISATION), math.sqrt(accel**2 + QUANTISATION)])
         self.has_accel = rig.accelerometer is not None and all(r.accel is not None for r in self.runs)
         self.measured = [np.stack([r.encoder, r.accel]) if self.has_accel else r.encoder[None, :] for r in self.runs]
-        self.share = [self._shares(r) for r in self.runs]
+        self.share = [self._shares(r, w) for r, w in zip(self.runs, self.windows, strict=True)]
         self.scale = [np.sqrt(share) / self.sigma[: self.channels, None] for share in self.share]
         self.temper = np.ones((len(self.runs), self.channels))
         self.chatter = [np.zeros_like(share) for share in self.share]
@@ -127,15 +132,17 @@ class Problem:
         self.clock = clock_evidence(self.runs)
         self.pool = ThreadPoolExecutor(threads)
 
-    def _shares(self, run: Run) -> np.ndarray:
+    def _shares(self, run: Run, window: slice) -> np.ndarray:
         """Independent errors per sample (channels, n)."""
         span = 10
         padded = np.pad(run.encoder, span, mode="edge")
         speed = np.abs(padded[2 * span:] - padded[: -2 * span]) / (2 * span)
         if self.noise[0] > 0.3:
             speed = np.ones_like(speed)
-        share = np.clip(speed, 0.02, 1.0)
-        return np.stack([share, np.ones_like(share)]) if self.has_accel else share[None, :]
+        share = np.stack([np.clip(speed, 0.02, 1.0), np.ones_like(speed)])[: self.channels]
+        counts = np.zeros(len(speed))
+        counts[window] = 1.0
+        return share * counts
 
     @property
     def samples(self) -> np.ndarray:
@@ -172,17 +179,18 @@ class Problem:
                 self.scale[r][c] = np.sqrt(self.share[r][c] / (self.sigma[c] ** 2 + fed_back) / self.temper[r, c])
 
     def weigh(self, residuals: list[np.ndarray]) -> None:
-        """Weigh each run and channel by what a model that misses something leaves there.
+        """Weigh runs and channels alike where a model misses something.
 
-        A misfit is no noise: it is larger than the noise and lasts.  Its long-run variance, in units of the noise's,
-        divides the weight of its run and channel, so that no one channel's misfit decides alone.
+        A misfit is no noise: it is larger, it lasts, and samples do not make it more certain.  Each run and channel in
+        which it stands out counts as FEATURES independent errors of the size that is left there, so that no one
+        channel's misfit decides alone.
         """
         for r, (e, share) in enumerate(zip(residuals, self.share, strict=True)):
             for c in range(self.channels):
-                left = float(e[c] @ e[c]) / float(share[c].sum()) * _correlation_time(e[c])
-                factor = max(left, 1.0) if left > MISFIT else 1.0
-                self.temper[r, c] *= factor
-                self.scale[r][c] /= math.sqrt(factor)
+                left = float(e[c] @ e[c])
+                if left > MISFIT * float(share[c].sum()):
+                    self.temper[r, c] *= left / FEATURES
+                    self.scale[r][c] *= math.sqrt(FEATURES / left)
 
     def unweigh(self) -> None:
         """Back to the noise's own weights."""

@@ -1,0 +1,313 @@
+"""The diagnosis file: its form, and that what stands in it hangs together, on diagnoses of every sort."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from station.diagnose.diagnose import diagnose
+from station.diagnose.measures import floor, nrmse, overshoot
+from station.diagnose.noise import noise_sigmas
+from station.diagnose.result import Cause, Diagnosis, DiagnosisResult, Estimate, Gain, Rival
+from station.errors import StationError, UsageError, WorkError
+from station.rig import Rig, load_rig
+from station.runs.run import Run, RunMetadata
+from tests.truth import CONTROLLERS, RIGID_AXIS, SFLR, Conditions, pulse_test, simulate_case, step_test
+
+RATE = 500.0
+VERDICTS = {"explained", "partly_explained", "unexplained", "nothing_missing", "ambiguous", "not_enough_data"}
+NAMING = {"explained", "partly_explained", "ambiguous"}
+TESTS = [step_test(RATE, "p2", 90.0, 1.6), pulse_test(RATE, 120.0, 0.1, duration=1.6),
+         step_test(RATE, "lead", -60.0, 1.6)]
+AXIS = Rig.model_validate(RIGID_AXIS)
+SFLR_RIG = load_rig("sflr")
+
+
+def made(table: dict, effects: list[dict], tests=TESTS, sigma: float = 0.8) -> list[Run]:
+    """Runs of the independent generator on the nominal constants."""
+    conditions = [Conditions(accel_sigma=sigma, accel_offset=1.4, seed=i) for i in range(len(tests))]
+    runs = []
+    for i, (test, out) in enumerate(zip(tests, simulate_case(table, effects, tests, conditions), strict=True)):
+        meta = RunMetadata(controller=CONTROLLERS[test.controller], test=test.kind, command_row=-1, zero_id="bench",
+                           accel_zero=out.accel_zero)
+        runs.append(Run(f"{i + 1}-{test.name}", out.t, out.reference, out.command, out.encoder, out.accel, meta))
+    return runs
+
+
+def effect(name: str, at: str, **parameters: float) -> dict:
+    return {"effect": name, "at": at, **parameters}
+
+
+SECOND_ARM = effect("second_appendage", "", inertia=0.002, stiffness=0.002 * (2.0 * math.pi * 8.0) ** 2,
+                    damping=0.002 * 2.0 * 0.01 * 2.0 * math.pi * 8.0)
+HEAVY_TIP = SFLR | {"tip": SFLR["tip"] | {"mass": 3.0 * SFLR["tip"]["mass"]}}
+MADE = {
+    "clean": (SFLR_RIG, lambda: made(SFLR, [])),
+    "drag": (SFLR_RIG, lambda: made(SFLR, [effect("quadratic_drag", "base", coefficient=0.02)])),
+    "constant": (SFLR_RIG, lambda: made(HEAVY_TIP, [])),
+    "slip": (SFLR_RIG, lambda: made(SFLR, [effect("encoder_slip", "", counts=9.0, mean_time=0.4)])),
+    "second arm": (SFLR_RIG, lambda: made(SFLR, [SECOND_ARM])),
+    "nothing moves": (SFLR_RIG, lambda: made(SFLR, [], [step_test(RATE, "p2", 0.0, 0.8) for _ in range(2)])),
+    "either delay": (AXIS, lambda: made(RIGID_AXIS, [effect("input_delay", "amplifier", time=0.007)])),
+}
+"""The rig that a diagnosis is given, and its runs."""
+
+
+@pytest.fixture(scope="module")
+def diagnoses():
+    """Each diagnosis once, when first asked for."""
+    kept: dict[str, tuple[list[Run], DiagnosisResult]] = {}
+
+    def get(name: str) -> tuple[list[Run], DiagnosisResult]:
+        if name not in kept:
+            rig, runs = MADE[name][0], MADE[name][1]()
+            kept[name] = runs, diagnose(rig, runs, effort="quick")
+        return kept[name]
+
+    return get
+
+
+def strict(text: str) -> dict:
+    """JSON as other programs read it: NaN and infinities are none."""
+    def refuse(constant: str):
+        raise AssertionError(f"{constant} is not JSON")
+    return json.loads(text, parse_constant=refuse)
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_the_file_has_the_contracts_keys(diagnoses, name):
+    runs, result = diagnoses(name)
+    said = strict(result.diagnosis.to_json())
+    assert set(said) == {"schema", "verdict", "wrong", "causes", "gain", "next_experiment"}
+    assert said["schema"] == "station-diagnosis/1" and said["verdict"] in VERDICTS
+    names = {run.name for run in runs}
+    for row in said["wrong"]:
+        assert {"run", "channel", "measure", "simulated", "measured"} <= set(row)
+        assert row["run"] in names and row["channel"] in ("encoder", "accel")
+    for cause in said["causes"]:
+        assert set(cause) == {"effect", "at", "probability", "parameters", "rivals"}
+        assert 0.0 < cause["probability"] <= 1.0
+        assert cause["parameters"]
+        for estimate in cause["parameters"].values():
+            assert {"value", "low", "high", "unit"} <= set(estimate)
+        for rival in cause["rivals"]:
+            assert set(rival) == {"effect", "at", "probability"} and 0.0 <= rival["probability"] <= 1.0
+    assert {"held_out", "encoder", "accel", "explained_fraction"} <= set(said["gain"])
+    assert set(said["gain"]["held_out"]) <= names
+    for channel in ("encoder", "accel"):
+        assert said["gain"][channel] is None or set(said["gain"][channel]) == {"nrmse_before", "nrmse_after"}
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_verdict_causes_and_rivals_agree(diagnoses, name):
+    _, result = diagnoses(name)
+    said = result.diagnosis
+    assert bool(said.causes) == (said.verdict in NAMING)
+    probabilities = [cause.probability for cause in said.causes]
+    assert probabilities == sorted(probabilities, reverse=True)
+    listed = [(cause.effect, cause.at) for cause in said.causes]
+    assert len(set(listed)) == len(listed)
+    for cause in said.causes:
+        rivals = [(rival.effect, rival.at) for rival in cause.rivals]
+        assert len(set(rivals)) == len(rivals) and not set(rivals) & set(listed)
+    if said.verdict == "ambiguous":
+        assert said.next_experiment is not None and said.next_experiment.why
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_the_extended_rig_holds_the_causes_and_nothing_else(diagnoses, name):
+    _, result = diagnoses(name)
+    effects = {(e.name, e.at): e.values() for e in result.extended_rig.effects}
+    constants = result.extended_rig.constants()
+    for cause in result.diagnosis.causes:
+        if cause.effect.startswith("parameter:"):
+            assert cause.at == "" and set(cause.parameters) == {"value"}
+            assert constants[cause.effect.removeprefix("parameter:")] == pytest.approx(cause.parameters["value"].value)
+        else:
+            values = effects.pop((cause.effect, cause.at))
+            assert values == pytest.approx({n: e.value for n, e in cause.parameters.items()})
+    assert not effects
+    assert Rig.from_toml(result.extended_rig.to_toml(), source="extended") == result.extended_rig
+
+
+@pytest.mark.parametrize("name", ["clean", "drag", "constant", "slip"])
+def test_the_gain_is_that_of_the_simulations_shown(diagnoses, name):
+    """nrmse over the held-out runs and the explained share, by the contract's formulas from the comparisons."""
+    runs, result = diagnoses(name)
+    gain, noise = result.diagnosis.gain, noise_sigmas(runs)
+    assert gain.held_out == [run.name for run in runs]
+    shares = []
+    for channel, sigma in (("encoder", noise[0]), ("accel", noise[1])):
+        before = after = spread = removed = removable = 0.0
+        for shown in result.comparisons:
+            measured, simulated = getattr(shown.run, channel), getattr(shown.after or shown.refit, channel)
+            size = float(np.sum((measured - measured.mean()) ** 2))
+            b, a = nrmse(measured, getattr(shown.before, channel)), nrmse(measured, simulated)
+            before, after, spread = before + b * b * size, after + a * a * size, spread + size
+            if b > 1.2 * floor(measured, sigma):
+                removed, removable = removed + b - a, removable + b - floor(measured, sigma)
+        said = getattr(gain, channel)
+        assert said.nrmse_before == pytest.approx(math.sqrt(before / spread), rel=1e-6)
+        if result.diagnosis.causes or result.diagnosis.verdict == "nothing_missing":
+            assert said.nrmse_after == pytest.approx(math.sqrt(after / spread), rel=1e-6)
+            if removable:
+                shares.append(removed / removable)
+    if shares:
+        assert gain.explained_fraction == pytest.approx(np.mean(shares), rel=1e-6)
+    elif result.diagnosis.causes or result.diagnosis.verdict == "nothing_missing":
+        assert gain.explained_fraction is None
+
+
+def test_a_hidden_drag_is_named_sized_and_worth_it(diagnoses):
+    runs, result = diagnoses("drag")
+    first = result.diagnosis.causes[0]
+    assert (first.effect, first.at) == ("quadratic_drag", "base")
+    drag = first.parameters["coefficient"]
+    assert drag.unit == "N m s^2/rad^2" and drag.low < 0.02 < drag.high
+    assert drag.value == pytest.approx(0.02, rel=0.2)
+    for gain in (result.diagnosis.gain.encoder, result.diagnosis.gain.accel):
+        assert gain.nrmse_after < 0.7 * gain.nrmse_before
+    assert 0.5 < result.diagnosis.gain.explained_fraction < 1.2
+
+
+def test_what_is_wrong_is_measured_as_the_contract_says(diagnoses):
+    runs, result = diagnoses("drag")
+    shown = {comparison.run.name: comparison for comparison in result.comparisons}
+    checked = set()
+    for row in result.diagnosis.wrong:
+        run, before = shown[row.run].run, shown[row.run].before
+        if row.measure == "overshoot_percent":
+            assert row.measured == pytest.approx(overshoot(run.reference, run.encoder))
+            assert row.simulated == pytest.approx(overshoot(run.reference, before.encoder))
+            assert abs(row.simulated - row.measured) > 100.0 / np.ptp(run.reference)
+        elif row.measure == "nrmse":
+            assert row.simulated == pytest.approx(nrmse(getattr(run, row.channel), getattr(before, row.channel)))
+        checked.add(row.measure)
+    assert {"overshoot_percent", "nrmse"} <= checked
+
+
+def test_a_constant_that_is_off_is_no_effect(diagnoses):
+    _, result = diagnoses("constant")
+    assert [(c.effect, c.at) for c in result.diagnosis.causes] == [("parameter:tip.mass", "")]
+    value = result.diagnosis.causes[0].parameters["value"]
+    assert value.unit == "kg"
+    assert value.low < HEAVY_TIP["tip"]["mass"] < value.high
+
+
+def test_a_clean_rig_is_not_accused(diagnoses):
+    assert diagnoses("clean")[1].diagnosis.verdict == "nothing_missing"
+
+
+@pytest.mark.parametrize("name", ["slip", "second arm"])
+def test_what_no_law_describes_is_not_explained(diagnoses, name):
+    """Both move the encoder by more than ten counts in every run, and no law of the catalogue does the same."""
+    _, result = diagnoses(name)
+    assert result.diagnosis.verdict in ("unexplained", "partly_explained")
+    assert result.diagnosis.wrong
+
+
+def test_runs_in_which_nothing_moves_are_not_enough(diagnoses):
+    assert diagnoses("nothing moves")[1].diagnosis.verdict == "not_enough_data"
+
+
+def test_two_causes_that_no_test_tells_apart_are_ambiguous(diagnoses):
+    """On a rigid axis the loop is the same wherever in it the delay sits."""
+    _, result = diagnoses("either delay")
+    said = result.diagnosis
+    assert said.verdict == "ambiguous"
+    first = said.causes[0]
+    leading = {(first.effect, first.at), *((rival.effect, rival.at) for rival in first.rivals[:1])}
+    assert leading == {("input_delay", "amplifier"), ("encoder_delay", "encoder")}
+    assert said.next_experiment.test is None
+    assert said.next_experiment.why
+
+
+def estimate(value: float = 0.02) -> Estimate:
+    return Estimate(value=value, low=0.9 * value, high=1.1 * value, unit="N m")
+
+
+def test_a_file_reads_back_as_it_was_written():
+    whole = Diagnosis(verdict="explained", gain=Gain(held_out=["a", "b"], explained_fraction=None), causes=[
+        Cause(effect="coulomb_friction", at="motor", probability=0.98, parameters={"torque": estimate()},
+              rivals=[Rival(effect="dead_zone", at="amplifier", probability=0.01)])])
+    text = whole.to_json()
+    assert Diagnosis.model_validate_json(text) == whole
+    assert strict(text)["next_experiment"] is None and strict(text)["gain"]["encoder"] is None
+
+
+@pytest.mark.parametrize("change", [{"verdict": "solved"}, {"certainty": 1.0}, {"causes": [{"effect": "x"}]},
+                                    {"gain": {}}],
+                         ids=["verdict", "unknown key", "cause without probability", "gain without runs"])
+def test_a_file_of_another_form_is_refused(change):
+    good = strict(Diagnosis(verdict="nothing_missing", gain=Gain(held_out=["a"])).to_json())
+    with pytest.raises(ValidationError):
+        Diagnosis.model_validate(good | change)
+
+
+def changed(run: Run, **columns) -> Run:
+    kept = {"t": run.t, "reference": run.reference, "command": run.command, "encoder": run.encoder, "accel": run.accel}
+    return Run(run.name, **(kept | columns), metadata=run.metadata)
+
+
+def one_line(error: StationError, *words: str) -> None:
+    text = str(error)
+    assert text and "\n" not in text
+    for word in words:
+        assert word in text, text
+
+
+@pytest.fixture(scope="module")
+def pair() -> list[Run]:
+    return made(SFLR, [], TESTS[:2])
+
+
+def test_a_run_at_another_rate_is_refused(pair):
+    slow = changed(pair[1], t=2.0 * pair[1].t)
+    with pytest.raises(WorkError) as refused:
+        diagnose(SFLR_RIG, [pair[0], slow], effort="quick")
+    one_line(refused.value, slow.name, "250", "500")
+
+
+def test_a_run_without_the_accelerometer_is_refused(pair):
+    deaf = changed(pair[0], accel=None)
+    with pytest.raises(WorkError) as refused:
+        diagnose(SFLR_RIG, [deaf, pair[1]], effort="quick")
+    one_line(refused.value, deaf.name, "accelerometer")
+
+
+def test_a_run_with_lost_samples_is_refused(pair):
+    rows = np.r_[0:300, 305:len(pair[0])]
+    n = rows.astype(float)
+    torn = Run(pair[0].name, pair[0].t[rows], pair[0].reference[rows], pair[0].command[rows], pair[0].encoder[rows],
+               pair[0].accel[rows], pair[0].metadata, n=n)
+    with pytest.raises(WorkError) as refused:
+        diagnose(SFLR_RIG, [torn, pair[1]], effort="quick")
+    one_line(refused.value, torn.name, "5 samples")
+
+
+@pytest.mark.parametrize("column", ["t", "reference", "command", "encoder", "accel"])
+def test_a_run_that_is_not_a_number_cannot_be_made(pair, column):
+    values = getattr(pair[0], column).copy()
+    values[17] = math.nan
+    with pytest.raises(WorkError) as refused:
+        changed(pair[0], **{column: values})
+    one_line(refused.value, pair[0].name, column, "17")
+
+
+def test_a_run_of_irregular_time_cannot_be_made(pair):
+    jumpy = pair[0].t.copy()
+    jumpy[40:] += 0.004
+    with pytest.raises(WorkError) as refused:
+        changed(pair[0], t=jumpy)
+    one_line(refused.value, pair[0].name, "40")
+
+
+def test_wrong_use_is_told_from_failed_work(pair):
+    with pytest.raises(UsageError) as refused:
+        diagnose(SFLR_RIG, pair, effort="heroic")
+    one_line(refused.value, "heroic", "quick", "full")
+    with pytest.raises(UsageError) as refused:
+        diagnose(SFLR_RIG, [], effort="quick")
+    one_line(refused.value, "run")
