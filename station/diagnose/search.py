@@ -68,6 +68,11 @@ class Search:
     promises: list[Promise] = field(default_factory=list)
     """Of the first rung."""
 
+    @property
+    def misfit(self) -> bool:
+        """Whether even the best leaves more than noise; then only what it predicts of unseen runs counts."""
+        return bool(np.any(self.problem.temper > 1.0))
+
     def temperature(self) -> float:
         """Scale of what the best hypothesis leaves, 1 where it reaches the noise."""
         return max(1.0, min(f.chi2 for f in self.fits.values()) / float(self.problem.samples.sum()))
@@ -75,8 +80,9 @@ class Search:
     def score(self, found: Fit, temperature: float) -> float:
         """Log posterior of a set of causes, up to a constant."""
         hypothesis = found.layout.hypothesis
-        further = sum(len(cls.parameters()) - 1 for cls, _ in hypothesis.effects)
-        score = (found.log_evidence(temperature) + LOG_PRIOR * len(hypothesis.causes()) + LOG_PRIOR_PARAMETER * further
+        further = sum(len(cls.parameters()) - 1 for cls, _ in hypothesis.effects) + found.layout.zeros
+        fit = -0.5 * found.left_out() if self.misfit else found.log_evidence(temperature)
+        score = (fit + LOG_PRIOR * len(hypothesis.causes()) + LOG_PRIOR_PARAMETER * further
                  + self.clock_score(hypothesis))
         return score if math.isfinite(score) else -math.inf
 
@@ -354,7 +360,7 @@ def explore(problem: Problem, effort: Effort, progress: Callable[[str, float], N
         else:
             look_back(search, parent, pool)
             parent = search.best()
-            if np.any(problem.temper > 1.0):
+            if search.misfit:
                 parent = recalibrate(search, parent)
         if len(parent.layout.hypothesis.causes()) <= rung:
             break
