@@ -90,6 +90,8 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     return {
         "named first": share([o.named for o in inside]),
         "named at all": share([any((c["effect"], c["at"]) in o.keys for c in o.causes) for o in inside]),
+        "something else accused beside it": share(
+            [any((c["effect"], c["at"]) not in o.keys for c in o.causes) for o in inside if o.named]),
         "clean rigs accused": share([bool(o.causes) for o in outcomes if o.clean]),
         "rigs with an unknown effect accused": share([bool(o.causes) for o in outcomes if o.outside]),
         "named and better on held-out runs": share([o.better for o in inside if o.named]),
