@@ -263,12 +263,13 @@ class Problem:
 
     def simulate_run(self, model: Model, layout: Layout, x: np.ndarray, index: int, start: float,
                      offset: float, rounding: bool | Literal["inside"] = False) -> Simulation:
-        """One run on a built rig with its nuisances."""
+        """One run on a built rig with its nuisances; ``start`` (rad) is what the encoder reads at sample 0."""
         extra = len(self.paths) + len(layout.coordinates)
         group = self.zero_group[index]
         zero = x[extra + group - 1] if layout.zeros and group else 0.0
         place = math.tanh(x[extra + layout.zeros + index]) if layout.gap_places else 0.0
-        return simulate_model(model, self.runs[index], rounding=rounding, start_angle=start, accel_offset=offset,
+        angle = _angle_that_reads(model.rig, start, zero)
+        return simulate_model(model, self.runs[index], rounding=rounding, start_angle=angle, accel_offset=offset,
                               zero=zero, gap_place=place)
 
     def outputs(self, layout: Layout, x: np.ndarray, start: np.ndarray, offset: np.ndarray,
@@ -281,6 +282,16 @@ class Problem:
             columns = (simulation.encoder, simulation.accel)[: self.channels]
             found.append((np.stack(columns) + self.chatter[i]) * self.scale[i])
         return found
+
+
+def _angle_that_reads(rig: Rig, reading: float, zero: float) -> float:
+    """The base angle (rad) at which an encoder with an error of its own shows a reading (rad)."""
+    errors = [e for e in rig.effects if e.stage is Stage.ENCODER]
+    angle = reading
+    for _ in range(5 if errors else 0):
+        counts = sum(type(e).law(angle + zero, 0.0, 0.0, e.arguments(rig), (), 0.0) for e in errors)
+        angle = reading - counts * rig.angle_per_count
+    return angle
 
 
 def clock_evidence(runs: Sequence[Run]) -> tuple[float, float] | None:

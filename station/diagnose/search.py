@@ -19,8 +19,9 @@ from station.diagnose.estimate import Fit, eliminate, fit
 from station.diagnose.problem import MISFIT, Hypothesis, Layout, Problem
 from station.model.effects import Stage
 
-LOG_PRIOR = -7.0
-"""Log prior odds that any one further cause is present: about one chance in a thousand each."""
+LOG_PRIOR = -10.0
+"""Log prior odds that any one further cause is present: about one in twenty thousand each: a false
+alarm costs a lab more than one more test."""
 LOG_PRIOR_PARAMETER = -1.5
 """Each further parameter of one effect: a law that holds a simpler one must earn its parameters."""
 
