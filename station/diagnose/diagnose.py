@@ -85,7 +85,7 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     pictures = evidence(refit_rig, extended, runs[:1] if windows else runs, [(c.effect, c.at) for c in causes])
     report("done", 1.0)
     return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, _ranking(search, found_odds), pictures,
-                           constants, _notes(search, left), time.perf_counter() - begun)
+                           constants, _notes(rig, search, left), time.perf_counter() - begun)
 
 
 def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice] | None]:
@@ -178,11 +178,14 @@ def _ranking(search: Search, found: Odds) -> list[RankedCause]:
     return sorted(rows.values(), key=lambda r: (-r.probability, -r.delta_chi2))
 
 
-def _notes(search: Search, left: Remainder) -> list[str]:
+def _notes(rig: Rig, search: Search, left: Remainder) -> list[str]:
     problem = search.problem
     notes = [f"{len(search.fits)} sets of causes fitted to {len(problem.runs)} runs",
              f"noise at rest: encoder {problem.noise[0]:.2f}, accelerometer {problem.noise[1]:.2f} counts",
              f"scale of what the best set leaves: {search.temperature():.2f} of the noise's variance"]
+    if rig.beam is not None and problem.rig.beam.elements != rig.beam.elements:
+        notes.append(f"simulated with {problem.rig.beam.elements} beam elements; with the {rig.beam.elements} of the "
+                     "rig file the mesh's own error would look like physics")
     for r, run in enumerate(problem.runs):
         for c, channel in enumerate(("encoder", "accel")[: problem.channels]):
             if max(left.size[r, c], left.slow[r, c]) > 6.0:
