@@ -10,7 +10,7 @@ import numpy as np
 
 from station.diagnose.evidence import evidence
 from station.diagnose.experiment import next_experiment
-from station.diagnose.heldout import gain, leave_each_out, settle, simulate_all
+from station.diagnose.heldout import gain, leave_each_out, mean_error, settle, simulate_all
 from station.diagnose.measures import nrmse, step_measures
 from station.diagnose.posterior import Odds, Remainder, estimates, odds, remainder
 from station.diagnose.problem import Problem
@@ -35,6 +35,8 @@ LISTED = 0.5
 """A cause is named from this probability on."""
 SURE = 0.8
 """Below this the first cause is ambiguous."""
+AS_GOOD = 1.02
+"""Held-out errors within this factor of the least are no reason for a further cause."""
 VISIBLE = 25.0
 """chi^2 at which an effect of a plain size shows."""
 
@@ -53,10 +55,10 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     problem = Problem(rig, runs, windows=windows)
     search = explore(problem, EFFORTS[effort], report)
     found_odds = odds(search)
-    best_keys = found_odds.sets[0][0]
-    best = search.fits[best_keys]
     nothing = search.fits[frozenset()]
     report("judging on runs left out", 0.92)
+    best_keys = _best_unseen(search, found_odds) if search.misfit else found_odds.sets[0][0]
+    best = search.fits[best_keys]
     zero = np.zeros(nothing.layout.size)
     start, offset = settle(problem, nothing.layout, zero, problem.start, problem.offset)
     before = simulate_all(problem, nothing.layout, zero, start, offset)
@@ -86,6 +88,16 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     report("done", 1.0)
     return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, _ranking(search, found_odds), pictures,
                            constants, _notes(rig, search, left), time.perf_counter() - begun)
+
+
+def _best_unseen(search: Search, found: Odds) -> frozenset:
+    """Of the leading sets of causes, the smallest of those that predict unseen runs best."""
+    leading = [keys for keys, _ in found.sets[:6]]
+    tried = [*leading, *([] if frozenset() in leading else [frozenset()])]
+    errors = {keys: mean_error(search.problem, leave_each_out(search.problem, search.fits[keys]).simulations)
+              for keys in tried}
+    least = min(errors.values())
+    return min((keys for keys in tried if errors[keys] <= AS_GOOD * least), key=lambda k: (len(k), errors[k]))
 
 
 def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice] | None]:

@@ -68,20 +68,6 @@ class Fit:
         """Posterior covariance (p, p)."""
         return np.linalg.pinv(self.precision(temperature), hermitian=True)
 
-    def left_out(self) -> float:
-        """Predicted chi^2 of every run by a fit without it, to second order; no further simulation.
-
-        At the optimum the other runs' gradient is minus this run's, so without it x moves by
-        -(sum of the others' A + prior)^-1 g_r, and its own quadratic form says what that costs.
-        """
-        prior = np.diag(self.layout.prior_precision)
-        whole = self.normal.sum(axis=0) + prior
-        total = 0.0
-        for own, slope, cost in zip(self.normal, self.gradient, self.costs.sum(axis=1) + self.penalty, strict=True):
-            move = np.linalg.solve(whole - own + 1e-9 * prior, -slope)
-            total += float(cost - 2.0 * slope @ move + move @ own @ move)
-        return total
-
     def log_evidence(self, temperature: float = 1.0) -> float:
         """Laplace's approximation of log p(data | hypothesis), up to a constant of the data."""
         prior = self.layout.prior_precision

@@ -63,6 +63,14 @@ def leave_each_out(problem: Problem, found: Fit) -> HeldOut:
     return HeldOut([p[0] for p in pairs], [p[1] for p in pairs])
 
 
+def mean_error(problem: Problem, simulations: list[Simulation]) -> float:
+    """nrmse over all runs and channels, each alike: what a lab sees of a model."""
+    errors = [nrmse(getattr(run, channel)[rows], getattr(simulation, channel)[rows])
+              for run, rows, simulation in zip(problem.runs, problem.windows, simulations, strict=True)
+              for channel in ("encoder", "accel")[: problem.channels]]
+    return float(np.mean([e for e in errors if np.isfinite(e)]))
+
+
 def gain(problem: Problem, names: list[str], before: list[Simulation], after: list[Simulation]) -> Gain:
     """The diagnosis file's gain: nrmse over all held-out runs and the share of the explainable error removed."""
     found, fractions = {}, []

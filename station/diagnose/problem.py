@@ -42,24 +42,25 @@ WIDE = 1.5
 
 @dataclass(frozen=True)
 class Coordinate:
-    """One parameter of an effect as the fit moves it: value = exp(x) where positive, else scale x."""
+    """One parameter of an effect as the fit moves it: value = exp(x), or origin + scale x."""
 
     effect: int
     name: str
     info: ParameterInfo
     log: bool
     scale: float
+    origin: float = 0.0
 
     def to_value(self, x: float) -> float:
         """The parameter's value, kept within its bounds."""
-        value = math.exp(min(max(x, -80.0), 80.0)) if self.log else self.scale * x
+        value = math.exp(min(max(x, -80.0), 80.0)) if self.log else self.origin + self.scale * x
         if self.info.periodic:
             return (value + math.pi) % (2.0 * math.pi) - math.pi
         return min(max(value, self.info.low), self.info.high)
 
     def to_x(self, value: float) -> float:
         """Inverse of ``to_value``."""
-        return math.log(max(value, 1e-300)) if self.log else value / self.scale
+        return math.log(max(value, 1e-300)) if self.log else (value - self.origin) / self.scale
 
 
 @dataclass(frozen=True)
@@ -224,10 +225,8 @@ class Problem:
             usual = cls.guesses(self.rig, at)
             for name, info in cls.parameters().items():
                 value = guess[k][name]
-                log = info.positive and not info.periodic
-                sizes = [abs(g[name]) for g in usual if g[name] != 0.0]
-                scale = 1.0 if info.periodic else max(abs(value), min(sizes, default=1.0))
-                coordinate = Coordinate(k, name, info, log, scale)
+                coordinate = _coordinate(k, name, info, value, [g[name] for g in usual])
+                log = coordinate.log
                 coordinates.append(coordinate)
                 if cls.stage is Stage.CLOCK and self.clock is not None:
                     mean.append(coordinate.to_x(self.clock[0]))
@@ -328,6 +327,24 @@ def _correlation_time(values: np.ndarray, longest: int = 50) -> float:
             break
         total += 2.0 * rho
     return total
+
+
+def _coordinate(effect: int, name: str, info: ParameterInfo, value: float, usual: list[float]) -> Coordinate:
+    """How a fit moves one parameter, started from ``value``.
+
+    Positive sizes by their logarithm; a size about a neutral value (a ratio about 1, a signed offset about 0) in units
+    of its first guess; a place (a rest angle) in units of usual places; phases in rad.
+    """
+    neutral = info.neutral
+    if info.positive and not info.periodic and (neutral is None or neutral == 0.0 or math.isinf(neutral)):
+        return Coordinate(effect, name, info, True, 1.0)
+    if info.periodic:
+        return Coordinate(effect, name, info, False, 1.0)
+    sizes = [abs(u - (neutral or 0.0)) for u in usual]
+    least = min((s for s in sizes if s > 0.0), default=1.0)
+    if neutral is None:
+        return Coordinate(effect, name, info, False, max(abs(value), least))
+    return Coordinate(effect, name, info, False, max(abs(value - neutral), 1e-6 * least), neutral)
 
 
 def _ordered(cls: type[Effect], values: dict[str, float]) -> dict[str, float]:

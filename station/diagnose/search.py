@@ -71,7 +71,7 @@ class Search:
 
     @property
     def misfit(self) -> bool:
-        """Whether even the best leaves more than noise; then only what it predicts of unseen runs counts."""
+        """Whether even the best leaves more than noise; then what it predicts of unseen runs decides."""
         return bool(np.any(self.problem.temper > 1.0))
 
     def temperature(self) -> float:
@@ -82,9 +82,8 @@ class Search:
         """Log posterior of a set of causes, up to a constant."""
         hypothesis = found.layout.hypothesis
         further = sum(len(cls.parameters()) - 1 for cls, _ in hypothesis.effects) + found.layout.zeros
-        fit = -0.5 * found.left_out() if self.misfit else found.log_evidence(temperature)
-        score = (fit + LOG_PRIOR * len(hypothesis.causes()) + LOG_PRIOR_PARAMETER * further
-                 + self.clock_score(hypothesis))
+        score = (found.log_evidence(temperature) + LOG_PRIOR * len(hypothesis.causes())
+                 + LOG_PRIOR_PARAMETER * further + self.clock_score(hypothesis))
         return score if math.isfinite(score) else -math.inf
 
     def clock_score(self, hypothesis: Hypothesis) -> float:
@@ -349,6 +348,9 @@ def explore(problem: Problem, effort: Effort, progress: Callable[[str, float], N
     parent = base_fit(problem)
     search.keep(parent)
     pool = candidates(problem.rig)
+    if search.misfit and max(problem.zero_group) > 0:
+        # With an unknown zero per run these laws have a free angle per run, fit anything and predict nothing.
+        pool = [c for c in pool if c.effect is None or c.effect.absolute is None]
     for rung in range(effort.rungs):
         held = set(parent.layout.hypothesis.causes())
         share = (0.1 + 0.8 * rung / effort.rungs, 0.1 + 0.8 * (rung + 1) / effort.rungs)
