@@ -22,8 +22,9 @@ from station.model.effects import Stage
 LOG_PRIOR = -10.0
 """Log prior odds that any one further cause is present: about one in twenty thousand each: a false
 alarm costs a lab more than one more test."""
-LOG_PRIOR_PARAMETER = -1.5
-"""Each further parameter of one effect: a law that holds a simpler one must earn its parameters."""
+LOG_PRIOR_PARAMETER = -4.0
+"""Each further parameter of one effect: a law that holds a simpler one must earn its parameters; log(n)/2 of the usual
+n of some thousand (Schwarz 1978)."""
 
 STRAINED = 2.5
 """Prior sigmas beyond which a fitted constant counts as strained."""
