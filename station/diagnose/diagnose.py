@@ -12,8 +12,8 @@ from station.diagnose.evidence import evidence
 from station.diagnose.experiment import next_experiment
 from station.diagnose.heldout import gain, leave_each_out, mean_error, settle, simulate_all
 from station.diagnose.measures import nrmse, step_measures
-from station.diagnose.posterior import Odds, Remainder, estimates, odds, remainder
-from station.diagnose.problem import Problem
+from station.diagnose.posterior import Odds, Remainder, estimates, normalised, odds, remainder
+from station.diagnose.problem import FEATURES, Problem
 from station.diagnose.result import (
     Cause,
     Diagnosis,
@@ -35,8 +35,8 @@ LISTED = 0.5
 """A cause is named from this probability on."""
 SURE = 0.8
 """Below this the first cause is ambiguous."""
-AS_GOOD = 1.02
-"""Held-out errors within this factor of the least are no reason for a further cause."""
+WORTH = 0.3
+"""Prior odds of each further cause where held-out errors decide: it must take two percent off them."""
 VISIBLE = 25.0
 """chi^2 at which an effect of a plain size shows."""
 
@@ -57,7 +57,9 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     found_odds = odds(search)
     nothing = search.fits[frozenset()]
     report("judging on runs left out", 0.92)
-    best_keys = _best_unseen(search, found_odds) if search.misfit else found_odds.sets[0][0]
+    if search.misfit:
+        found_odds = _odds_unseen(search, found_odds)
+    best_keys = found_odds.sets[0][0]
     best = search.fits[best_keys]
     zero = np.zeros(nothing.layout.size)
     start, offset = settle(problem, nothing.layout, zero, problem.start, problem.offset)
@@ -90,14 +92,18 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
                            constants, _notes(rig, search, left), time.perf_counter() - begun)
 
 
-def _best_unseen(search: Search, found: Odds) -> frozenset:
-    """Of the leading sets of causes, the smallest of those that predict unseen runs best."""
-    leading = [keys for keys, _ in found.sets[:6]]
+def _odds_unseen(search: Search, found: Odds) -> Odds:
+    """Odds of the leading sets of causes by how well they predict runs left out, where none reaches the noise.
+
+    Each set's weight is (its held-out error)^-FEATURES, as of FEATURES independent errors, times WORTH per cause.
+    """
+    leading = [keys for keys, _ in found.sets[:8]]
     tried = [*leading, *([] if frozenset() in leading else [frozenset()])]
-    errors = {keys: mean_error(search.problem, leave_each_out(search.problem, search.fits[keys]).simulations)
-              for keys in tried}
-    least = min(errors.values())
-    return min((keys for keys in tried if errors[keys] <= AS_GOOD * least), key=lambda k: (len(k), errors[k]))
+    scores = {}
+    for keys in tried:
+        left_out = leave_each_out(search.problem, search.fits[keys]).simulations
+        scores[keys] = -FEATURES * np.log(mean_error(search.problem, left_out)) + np.log(WORTH) * len(keys)
+    return normalised(scores)
 
 
 def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice] | None]:

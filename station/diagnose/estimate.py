@@ -25,7 +25,7 @@ LONGEST = 2.0
 """Longest step in any coordinate, prior sigmas or logarithm."""
 
 
-@dataclass
+@dataclass(eq=False)
 class Fit:
     """A fitted hypothesis."""
 
@@ -195,7 +195,8 @@ def fit(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray | Non
                 continue
             step *= min(1.0, LONGEST / max(np.max(np.abs(step)), 1e-300))
             nuisance = np.array([b[0] - b[1] @ step for b in back])
-            new_start = start + nuisance[:, 0]
+            new_start = problem.near_reading(start + nuisance[:, 0])
+            nuisance[:, 0] = new_start - start
             new_offset = offset + nuisance[:, 1] if problem.has_accel else offset
             trial = look(x + step, new_start, new_offset)
             if trial[0] < objective:

@@ -31,6 +31,7 @@ def settle(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray, o
             start[r] += step[0]
             if problem.has_accel:
                 offset[r] += step[1]
+        start = problem.near_reading(start)
     return start, offset
 
 

@@ -43,8 +43,13 @@ def odds(search: Search) -> Odds:
     temperature = search.temperature()
     rows = [(keys, search.score(found, temperature)) for keys, found in search.fits.items()
             if all(is_beyond(search, found, k) for k in keys)]
-    top = max(score for _, score in rows)
-    weights = [(keys, math.exp(max(score - top, -700.0))) for keys, score in rows]
+    return normalised(dict(rows))
+
+
+def normalised(scores: dict[frozenset[Key], float]) -> Odds:
+    """Odds from the log weight of every set."""
+    top = max(scores.values())
+    weights = [(keys, math.exp(max(score - top, -700.0))) for keys, score in scores.items()]
     total = sum(w for _, w in weights)
     sets = sorted(((keys, w / total) for keys, w in weights), key=lambda row: -row[1])
     causes: dict[Key, float] = {}

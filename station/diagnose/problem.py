@@ -199,6 +199,10 @@ class Problem:
             self.scale[r] *= np.sqrt(self.temper[r])[:, None]
         self.temper[:] = 1.0
 
+    def near_reading(self, start: np.ndarray) -> np.ndarray:
+        """Starting angles (rad), kept within one count of what the encoder read: no misfit may move them further."""
+        return np.clip(start, self.start - self.rig.angle_per_count, self.start + self.rig.angle_per_count)
+
     def _start_angle(self, run: Run) -> float:
         return float(np.mean(run.encoder[: max(min(rest_rows(run), 100), 1)])) * self.rig.angle_per_count
 

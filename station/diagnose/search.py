@@ -26,6 +26,8 @@ LOG_PRIOR_PARAMETER = -4.0
 """Each further parameter of one effect: a law that holds a simpler one must earn its parameters; log(n)/2 of the usual
 n of some thousand (Schwarz 1978)."""
 
+CLOSE = 150.0
+"""Twice a log posterior within which two hypotheses are close rivals."""
 STRAINED = 2.5
 """Prior sigmas beyond which a fitted constant counts as strained."""
 
@@ -39,10 +41,10 @@ class Effort:
     exact: int
     """Of these, how many are fitted to the end."""
     rungs: int
-    """Most causes in one hypothesis."""
+    """Most causes in one hypothesis; one more where even that leaves more than noise."""
 
 
-EFFORTS = {"quick": Effort(8, 2, 2), "full": Effort(14, 4, 4)}
+EFFORTS = {"quick": Effort(8, 2, 2), "full": Effort(14, 4, 3)}
 
 
 @dataclass
@@ -233,6 +235,13 @@ def _started(promise: Promise) -> dict[str, float]:
     return moved
 
 
+def _starts_allowed(candidate: Candidate) -> int:
+    """Guesses from which a quick fit begins: more where chi^2 has many valleys (angles, gaps)."""
+    if candidate.effect is None:
+        return 1
+    return 3 if candidate.effect.stage is Stage.GAP else 1 + (len(candidate.guesses) > 4)
+
+
 def _starts(found: Fit) -> list[np.ndarray]:
     """Where an exact fit begins: the quick fit's end and, where that strains the constants, their nominal values.
 
@@ -259,7 +268,7 @@ def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float
     for promise in promises:
         key = promise.candidate.key
         starts = per_key.setdefault(key, [])
-        allowed = 2 if promise.candidate.effect is not None and len(promise.candidate.guesses) > 4 else 1
+        allowed = _starts_allowed(promise.candidate)
         if len(starts) < allowed and promise.gain > least and len(per_key) <= effort.fits:
             starts.append(promise)
             chosen.append(promise)
@@ -297,6 +306,7 @@ def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float
                 continue  # that start does not simulate; the quick fit stands
         search.progress(f"fitted {found.layout.hypothesis.label}",
                         share[0] + (share[1] - share[0]) * (0.6 + 0.4 * (index + 1) / len(exact)))
+    _borrow(search, [frozenset(f.layout.hypothesis.causes()) for f in exact])
     temperature = search.temperature()
     for found in search.fits.values():
         keys = set(found.layout.hypothesis.causes())
@@ -304,6 +314,21 @@ def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float
         if above and set(parent.layout.hypothesis.causes()) < keys:
             best = found
     return best
+
+
+def _borrow(search: Search, keys: list[frozenset[tuple[str, str]]]) -> None:
+    """Fit the close rivals of the best once more from the best's constants: no law loses by where its fit began."""
+    fitted = sorted((search.fits[k] for k in keys if k in search.fits), key=lambda f: f.objective)
+    for rival in fitted[1:]:
+        if rival.objective > fitted[0].objective + CLOSE:
+            continue
+        x = rival.x.copy()
+        n = len(rival.layout.paths)
+        x[:n] = np.linalg.solve(rival.layout.root, fitted[0].logs)
+        try:
+            search.keep(fit(search.problem, rival.layout, x, fitted[0].start, fitted[0].offset, iterations=10))
+        except ArithmeticError:
+            continue  # does not simulate from there; the fit that there is stands
 
 
 def look_back(search: Search, found: Fit, pool: list[Candidate]) -> None:
@@ -334,8 +359,9 @@ def recalibrate(search: Search, best: Fit) -> Fit:
         problem.weigh(again.residuals)
     temperature = search.temperature()
     leading = sorted(search.fits.values(), key=lambda f: -search.score(f, temperature))
-    keep = [f for f in leading if f.layout.hypothesis.causes()][: search.effort.exact]
-    again = [search.fits[frozenset()], *keep]
+    parts = set(best.layout.hypothesis.causes())
+    again = [f for f in leading if set(f.layout.hypothesis.causes()) <= parts]
+    again += [f for f in leading if f not in again][: search.effort.exact - 1]
     search.fits = {}
     for found in again:
         search.keep(fit(problem, found.layout, found.x, found.start, found.offset, iterations=10))
@@ -352,7 +378,7 @@ def explore(problem: Problem, effort: Effort, progress: Callable[[str, float], N
     if search.misfit and max(problem.zero_group) > 0:
         # With an unknown zero per run these laws have a free angle per run, fit anything and predict nothing.
         pool = [c for c in pool if c.effect is None or c.effect.absolute is None]
-    for rung in range(effort.rungs):
+    for rung in range(effort.rungs + search.misfit):
         held = set(parent.layout.hypothesis.causes())
         share = (0.1 + 0.8 * rung / effort.rungs, 0.1 + 0.8 * (rung + 1) / effort.rungs)
         child = climb(search, parent, [c for c in pool if c.key not in held], share, 4.0 if rung == 0 else 10.0)

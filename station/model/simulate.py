@@ -24,7 +24,7 @@ SUBSTEP = 5e-4
 TRUNCATION = 0.01
 """Modes are left out while the sum of what they could add to either output stays below this, counts."""
 
-PORT_SHARE = 0.05
+PORT_SHARE = 0.02
 
 _STAGE = {Stage.COMMAND: stepper.COMMAND, Stage.TORQUE: stepper.TORQUE, Stage.FRICTION: stepper.FRICTION,
           Stage.GAP: stepper.GAP, Stage.SPRING: stepper.SPRING, Stage.ACCEL_INPUT: stepper.ACCEL_INPUT,

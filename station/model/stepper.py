@@ -28,8 +28,8 @@ STAGES = 9
 NONE, ALL, INSIDE = range(3)
 MAX_ITERATIONS = 40
 CROSSINGS = 8
-TOLERANCE = 1e-6
-"""Of the ports' speeds, rad/s: 10^-7 of a count over a step."""
+TOLERANCE = 1e-5
+"""Of the ports' speeds, rad/s: 10^-6 of a count over a step."""
 
 
 class Plan(NamedTuple):
@@ -312,6 +312,10 @@ def _advance(plan, state, command, work):
     new = state.commands[(place - plan.whole_delay) % state.commands.size]
     old = state.commands[(place - plan.whole_delay - 1) % state.commands.size]
     z, ports, size = state.z, plan.port_joint.size, state.z.size
+    between = (plan.encoder_delay > 0.0 or plan.accel_delay > 0.0
+               or plan.first[ACCEL_FILTER + 1] > plan.first[ACCEL_FILTER])
+    for p in range(ports):
+        work[2, p], work[3, p] = _dot2(plan.port_angle[p], plan.port_speed[p], z)
     for step in range(plan.substeps):
         extra = 0.0
         if step == plan.switch:
@@ -320,8 +324,6 @@ def _advance(plan, state, command, work):
             extra = before - count
         else:
             count = _chain(plan, state, old if step < plan.switch else new, plan.h)
-        for p in range(ports):
-            work[2, p], work[3, p] = _dot2(plan.port_angle[p], plan.port_speed[p], z)
         _propagate(plan.phi, plan.held, z, count)
         if extra != 0.0:
             for i in range(size):
@@ -332,9 +334,14 @@ def _advance(plan, state, command, work):
                 work[0, p], work[1, p] = _dot2(plan.port_angle[p], plan.port_speed[p], z)
             _solve_ports(plan, state, work[0], work[1], work[2], work[3])
             for p in range(ports):
+                work[2, p], work[3, p] = work[0, p], work[1, p]
+                for q in range(ports):
+                    work[2, p] += plan.angle_gain[p, q] * state.torque[q]
+                    work[3, p] += plan.speed_gain[p, q] * state.torque[q]
                 for i in range(size):
                     z[i] += plan.port_held[p, i] * state.torque[p]
-        _observe(plan, state, False)
+        if between or step == plan.substeps - 1:
+            _observe(plan, state, False)
     state.clock[0] += 1
 
 

@@ -24,4 +24,4 @@ class AccelerometerSaturation(Effect):
 
     @classmethod
     def guesses(cls, rig, at):
-        return [{"limit": value} for value in (60.0, 30.0, 15.0, 8.0)]
+        return [{"limit": value} for value in (120.0, 85.0, 60.0, 42.0, 30.0, 20.0, 12.0, 8.0)]

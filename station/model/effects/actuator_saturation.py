@@ -24,4 +24,4 @@ class ActuatorSaturation(Effect):
 
     @classmethod
     def guesses(cls, rig, at):
-        return [{"limit": share * rig.amplifier.limit} for share in (0.9, 0.7, 0.45, 0.25)]
+        return [{"limit": share * rig.amplifier.limit} for share in (0.97, 0.9, 0.78, 0.62, 0.45, 0.25)]

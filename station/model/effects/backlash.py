@@ -28,4 +28,4 @@ class Backlash(Effect):
 
     @classmethod
     def guesses(cls, rig, at):
-        return [{"gap": value} for value in (0.01, 0.05, 0.2)]
+        return [{"gap": value} for value in (0.002, 0.005, 0.012, 0.03, 0.07, 0.2)]
