@@ -31,8 +31,6 @@ from station.model.simulate import Simulation
 from station.rig import Rig
 from station.runs.run import Run
 
-LISTED = 0.5
-"""A cause is named from this probability on."""
 SURE = 0.8
 """Below this the first cause is ambiguous."""
 WORTH = 0.3
