@@ -40,8 +40,8 @@ def test_diagnose_writes_what_was_asked_for(station, tmp_path):
 
 
 def test_diagnose_refuses_what_it_cannot_use(station, step, tmp_path):
-    ended = station("diagnose", "--rig", "sflr", step)
-    assert ended.status == 1 and "step" in ended.one_line()
+    ended = station("diagnose", "--rig", "sflr", step, tmp_path / "none.csv")
+    assert ended.status == 1 and "none.csv" in ended.one_line()
     assert station("diagnose", "--rig", "sflr", step, "--effort", "heroic").status == 2
     ended = station("diagnose", "--rig", "sflr", step, "--report", tmp_path / "no" / "r.html")
     assert ended.status == 1 and "does not exist" in ended.one_line()
