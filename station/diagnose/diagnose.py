@@ -62,8 +62,8 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     zero = np.zeros(nothing.layout.size)
     start, offset = settle(problem, nothing.layout, zero, problem.start, problem.offset)
     before = simulate_all(problem, nothing.layout, zero, start, offset)
-    after = leave_each_out(problem, best).simulations
-    refit = after if not best_keys else leave_each_out(problem, nothing).simulations
+    after = leave_each_out(problem, best)
+    refit = after if not best_keys else leave_each_out(problem, nothing)
     names = [run.name for run in runs]
     bought = gain(problem, names, before, after)
     left = remainder(search, best)
@@ -99,7 +99,7 @@ def _odds_unseen(search: Search, found: Odds) -> Odds:
     tried = [*leading, *([] if frozenset() in leading else [frozenset()])]
     scores = {}
     for keys in tried:
-        left_out = leave_each_out(search.problem, search.fits[keys]).simulations
+        left_out = leave_each_out(search.problem, search.fits[keys])
         scores[keys] = -FEATURES * np.log(mean_error(search.problem, left_out)) + np.log(WORTH) * len(keys)
     return normalised(scores)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from station.diagnose.estimate import Fit, fit, nuisance_priors
@@ -42,26 +40,17 @@ def simulate_all(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndar
     return [problem.simulate_run(model, layout, x, r, start[r], offset[r], rounding) for r in range(len(problem.runs))]
 
 
-@dataclass(frozen=True)
-class HeldOut:
-    """Simulations of every run by a fit that left that run out."""
-
-    simulations: list[Simulation]
-    parameters: list[np.ndarray]
-
-
-def leave_each_out(problem: Problem, found: Fit) -> HeldOut:
-    """Fit again without each run in turn and simulate that run."""
-    def without(r: int) -> tuple[Simulation, np.ndarray]:
+def leave_each_out(problem: Problem, found: Fit) -> list[Simulation]:
+    """Every run, simulated by a fit that left that run out."""
+    def without(r: int) -> Simulation:
         weights = np.ones(len(problem.runs))
         weights[r] = 0.0
         left = fit(problem, found.layout, found.x, found.start, found.offset, weights=weights, iterations=4,
                    jacobian=found.jacobian, parallel=False, exact_end=False)
         start, offset = settle(problem, left.layout, left.x, left.start, left.offset)
         model = build(problem.rig_of(left.layout, left.x))
-        return problem.simulate_run(model, left.layout, left.x, r, start[r], offset[r], True), left.x
-    pairs = list(problem.pool.map(without, range(len(problem.runs))))
-    return HeldOut([p[0] for p in pairs], [p[1] for p in pairs])
+        return problem.simulate_run(model, left.layout, left.x, r, start[r], offset[r], True)
+    return list(problem.pool.map(without, range(len(problem.runs))))
 
 
 def mean_error(problem: Problem, simulations: list[Simulation]) -> float:

@@ -225,13 +225,13 @@ def _started(promise: Promise) -> dict[str, float]:
     factor = min(max(promise.size, 0.2), 5.0)
     moved = {}
     infos = promise.candidate.effect.parameters()
-    for index, (name, value) in enumerate(promise.guess.items()):
+    for name, value in promise.guess.items():
         info = infos[name]
         if info.neutral is None or not math.isfinite(info.neutral) or info.periodic:
             moved[name] = value
             continue
         scaled = info.neutral + factor * (value - info.neutral)
-        moved[name] = min(max(scaled, info.low), info.high) if index >= 0 else value
+        moved[name] = min(max(scaled, info.low), info.high)
     return moved
 
 
