@@ -6,8 +6,8 @@ the run's normal matrix A = J'J - J'N (N'N + P)^-1 N'J and gradient g = J'e - J'
 While a model does not reach the noise, chi^2/n is taken as the noise's scale (never below 1): priors keep their say
 against a misfit that is not noise, and far from the optimum steps stay where the linearisation holds.
 
-The derivatives by the constants may be handed over from a neighbouring hypothesis; they are then corrected after each
-step by what the step did (Broyden 1965) and computed afresh only where that does not lead on.
+Derivatives by the constants may be handed over from a neighbouring hypothesis.  After each step they are corrected by
+what the step did (Broyden 1965), and computed afresh only where that does not lead on.
 """
 
 from __future__ import annotations
@@ -23,6 +23,14 @@ STEP = 2e-3
 HUGE = 1e30
 LONGEST = 2.0
 """Longest step in any coordinate, prior sigmas or logarithm."""
+PLACE_STEP = 0.02
+"""Finite-difference step of the motor's place in a gap (artanh of its share)."""
+OFFSET_STEP = 0.1
+"""Finite-difference step of the accelerometer's offset, counts."""
+POOR = 0.2
+"""Share of the predicted gain below which derivatives are computed afresh."""
+SETTLED = 0.3
+"""Squared distance, posterior sigmas, over which derivatives are taken to stay."""
 
 
 @dataclass(eq=False)
@@ -49,6 +57,8 @@ class Fit:
     """Per run (channels, n), scaled."""
     jacobian: list[np.ndarray]
     """Per run (p + nuisances, channels n)."""
+    scale: list[np.ndarray]
+    """Per run (channels, n), what residuals, outputs and derivatives are scaled with."""
 
     @property
     def chi2(self) -> float:
@@ -59,6 +69,11 @@ class Fit:
     def logs(self) -> np.ndarray:
         """Logarithms of constants over their nominal values."""
         return self.layout.root @ self.x[: len(self.layout.paths)]
+
+    def jacobian_at(self, scale: list[np.ndarray]) -> list[np.ndarray]:
+        """The derivatives under other scales."""
+        return [j * (new / np.where(old > 0.0, old, 1.0)).ravel()
+                for j, new, old in zip(self.jacobian, scale, self.scale, strict=True)]
 
     def precision(self, temperature: float = 1.0) -> np.ndarray:
         """Posterior precision (p, p)."""
@@ -102,11 +117,13 @@ def eliminate(problem: Problem, fit_start: np.ndarray, fit_offset: np.ndarray, r
 def fit(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray | None = None,
         offset: np.ndarray | None = None, *, iterations: int = 25, tolerance: float = 0.1,
         weights: np.ndarray | None = None, jacobian: list[np.ndarray] | None = None, parallel: bool = True,
-        exact_end: bool = True) -> Fit:
+        exact_end: bool = True, poor: float = POOR) -> Fit:
     """Minimise chi^2 plus priors from ``x``; ``tolerance`` is the fall of the objective that ends it.
 
     ``weights`` (runs) of 0 leave a run out of the fit; its nuisances follow all the same.  ``jacobian`` (per run
-    (p + nuisances, channels n)) starts the quick way; ``exact_end`` computes the derivatives afresh at its end.
+    (p + nuisances, channels n)) starts the quick way; ``exact_end`` computes the derivatives afresh before it ends.
+    A step that gains less than the share ``poor`` of what was predicted asks for fresh derivatives (infinite: always).
+    ``parallel`` spreads the work over the problem's threads; not from one of them.
     """
     start = problem.start.copy() if start is None else start.copy()
     offset = problem.offset.copy() if offset is None else offset.copy()
@@ -115,9 +132,10 @@ def fit(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray | Non
     nuisance_prior, prior = nuisance_priors(problem), layout.prior_precision
     samples, count, constants = float(weights @ problem.samples), layout.size, len(layout.paths)
     run_map = problem.pool.map if parallel else map
+    angle = 0.5 * problem.rig.angle_per_count
 
     def look(x: np.ndarray, start: np.ndarray, offset: np.ndarray):
-        outputs = problem.outputs(layout, x, start, offset)
+        outputs = problem.outputs(layout, x, start, offset, parallel=parallel)
         residuals = [m - y for m, y in zip(scaled, outputs, strict=True)]
         with np.errstate(over="ignore", invalid="ignore"):
             costs = np.array([np.sum(e * e, axis=1) for e in residuals])
@@ -129,65 +147,73 @@ def fit(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray | Non
         total = data if data <= samples else samples * (1.0 + np.log(data / samples))
         return total + float(prior @ (x - layout.prior_mean) ** 2), data, outputs, residuals, costs, penalty
 
-    def columns(which: list[int], x: np.ndarray, start: np.ndarray, offset: np.ndarray, outputs: list[np.ndarray]):
-        """Derivatives by parameters ``which`` (count: starting angle, count + 1: offset), per run stacked."""
-        def moved(k: int):
-            if k < count:
-                other = x.copy()
-                other[k] += STEP
-                return problem.outputs(layout, other, start, offset), STEP
-            if k == count:
-                step = 0.5 * problem.rig.angle_per_count
-                return problem.outputs(layout, x, start + step, offset), step
-            return problem.outputs(layout, x, start, offset + 0.1), 0.1
-        found = list(run_map(moved, which))
-        return [np.stack([(y[r] - outputs[r]).ravel() / step for y, step in found]) for r in range(len(outputs))]
+    def columns(which: list[int], spread: np.ndarray) -> list[np.ndarray]:
+        """Changes of the outputs by steps along columns ``which`` of ``spread``, per run stacked.
 
-    def along(spread: np.ndarray, x: np.ndarray, start: np.ndarray, offset: np.ndarray, outputs: list[np.ndarray]):
-        """Derivatives from steps along the columns of ``spread`` (p, p), the posterior's own axes and widths.
-
+        count: the starting angle; count + 1: the offset; -1: the motor's places in the gaps, one row per run.
         Sticking makes outputs kinked; a difference over the width that the data leave open is the one that counts.
         """
-        def moved(k: int):
+        def moved(k: int) -> list[np.ndarray]:
+            if k < 0:
+                other = x.copy()
+                other[shared:] += PLACE_STEP
+                return problem.outputs(layout, other, start, offset)
             if k < count:
                 return problem.outputs(layout, x + spread[:, k], start, offset)
             if k == count:
                 return problem.outputs(layout, x, start + angle, offset)
-            return problem.outputs(layout, x, start, offset + 0.1)
-        angle = 0.5 * problem.rig.angle_per_count
-        found = list(run_map(moved, everything))
-        jac = []
-        for r in range(len(outputs)):
-            changes = np.stack([(y[r] - outputs[r]).ravel() for y in found])
-            changes[:count] = np.linalg.solve(spread.T, changes[:count])
-            changes[count:] /= np.array([angle, 0.1])[: problem.channels, None]
-            jac.append(changes)
-        return jac
+            return problem.outputs(layout, x, start, offset + OFFSET_STEP)
+        found = list(run_map(moved, which))
+        rows: list[np.ndarray] = []
+        for r, before in enumerate(outputs):
+            changes = []
+            for k, y in zip(which, found, strict=True):
+                change = (y[r] - before).ravel()
+                changes += [change] if k >= 0 else [change * (place == r) for place in range(layout.gap_places)]
+            rows.append(np.stack(changes))
+        return rows
+
+    def afresh(spread: np.ndarray) -> list[np.ndarray]:
+        """The whole Jacobian, from steps along the columns of ``spread``."""
+        found = columns(everything, spread)
+        for changes in found:
+            changes[:shared] = np.linalg.solve(spread[:shared, :shared].T, changes[:shared])
+            changes[shared:count] /= PLACE_STEP
+            changes[count:] /= np.array([angle, OFFSET_STEP])[: problem.channels, None]
+        return found
 
     def axes() -> np.ndarray:
-        values, vectors = np.linalg.eigh(np.tensordot(weights, normal, 1) / max(data / samples, 1.0) + np.diag(prior))
-        spread = vectors / np.sqrt(np.maximum(values, 1e-12))
-        return spread * np.minimum(1.0, 0.5 / np.maximum(np.max(np.abs(spread), axis=0), 1e-300))
+        """The posterior's own axes and widths."""
+        matrix = np.tensordot(weights, normal, 1) / max(data / samples, 1.0) + np.diag(prior)
+        values, vectors = np.linalg.eigh(matrix[:shared, :shared])
+        found = vectors / np.sqrt(np.maximum(values, 1e-12))
+        spread = np.zeros((count, count))
+        spread[:shared, :shared] = found * np.minimum(
+            1.0, 0.5 / np.maximum(np.max(np.abs(found), axis=0), 1e-300))
+        return spread
 
-    everything, effects = list(range(count + problem.channels)), list(range(constants, count))
+    shared = count - layout.gap_places
+    places = [-1] if layout.gap_places else []
+    everything = [*range(shared), *places, *range(count, count + problem.channels)]
+    effects = [*range(constants, shared), *places]
     objective, data, outputs, residuals, costs, penalty = look(x, start, offset)
     if objective == np.inf:
         raise ArithmeticError("the fit's start does not simulate")
-    fresh = jacobian is None
-    jac = columns(everything, x, start, offset, outputs) if fresh else [j.copy() for j in jacobian]
-    damping, renewed = 1e-3, fresh
-    done = False
-    for iteration in range(iterations + 1):
-        if not fresh and effects:
-            for j, new in zip(jac, columns(effects, x, start, offset, outputs), strict=True):
-                j[constants:count] = new
-        normal, gradient, back = eliminate(problem, start, offset, residuals, jac, count)
-        if done or iteration == iterations:
-            break
+    plain_steps = STEP * np.eye(count)
+    jac = afresh(plain_steps) if jacobian is None else [j.copy() for j in jacobian]
+    drift = 0.0 if jacobian is None else np.inf
+    along_axes, damping = False, 1e-3
+    normal, gradient, back = eliminate(problem, start, offset, residuals, jac, count)
+    for _ in range(iterations):
+        if drift > 0.0 and effects:
+            for j, new in zip(jac, columns(effects, plain_steps), strict=True):
+                j[constants:shared] = new[: shared - constants] / STEP
+                j[shared:count] = new[shared - constants:] / PLACE_STEP
+            normal, gradient, back = eliminate(problem, start, offset, residuals, jac, count)
         scale = max(data / samples, 1.0)
         matrix = np.tensordot(weights, normal, 1) / scale + np.diag(prior)
         force = weights @ gradient / scale - prior * (x - layout.prior_mean)
-        better = False
+        gain = ratio = 0.0
         for _ in range(5):
             step = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), force)
             if not np.all(np.isfinite(step)):
@@ -200,37 +226,33 @@ def fit(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray | Non
             new_offset = offset + nuisance[:, 1] if problem.has_accel else offset
             trial = look(x + step, new_start, new_offset)
             if trial[0] < objective:
-                better = True
+                gain = objective - trial[0]
+                ratio = gain / max(float(2.0 * force @ step - step @ matrix @ step), 1e-300)
                 break
             damping *= 10.0
-        if better:
-            gain = objective - trial[0]
+        if gain > 0.0:
             move = [np.concatenate([step, nuisance[r]]) for r in range(len(outputs))]
             old, x, start, offset = outputs, x + step, new_start, new_offset
             objective, data, outputs, residuals, costs, penalty = trial
             damping = max(damping / 10.0, 1e-9)
-            if not renewed:
-                for r, j in enumerate(jac):
-                    weight = move[r].copy()
-                    weight[count:] *= nuisance_prior**0.5
-                    norm = float(weight @ weight)
-                    if norm > 1e-12:
-                        missing = (outputs[r] - old[r]).ravel() - move[r] @ j
-                        j += np.outer(weight / norm * np.where(np.arange(j.shape[0]) < count, 1.0,
-                                                               np.r_[np.ones(count), nuisance_prior**0.5]), missing)
-        stuck = not better or gain < tolerance
-        if renewed:
-            if stuck and (not better or gain < tolerance):
-                done = True
-            if better and not done or exact_end and better:
-                jac = along(axes(), x, start, offset, outputs)
-            if done and not better:
-                break
-        elif stuck:
-            if not exact_end:
-                done = True
-                if not better:
-                    break
-            else:
-                jac, renewed, fresh, damping = along(axes(), x, start, offset, outputs), True, True, 1e-3
-    return Fit(layout, x, start, offset, objective, costs, penalty, normal, gradient, residuals, outputs, jac)
+            drift += float(step @ matrix @ step)
+            _broyden(jac, move, [new - y for new, y in zip(outputs, old, strict=True)], count, nuisance_prior)
+            normal, gradient, back = eliminate(problem, start, offset, residuals, jac, count)
+        if gain >= tolerance and (ratio > poor or not exact_end):
+            continue
+        if not exact_end or (gain < tolerance and drift < SETTLED and along_axes):
+            break
+        jac, along_axes, drift, damping = afresh(axes()), True, 0.0, min(damping, 1e-3)
+        normal, gradient, back = eliminate(problem, start, offset, residuals, jac, count)
+    return Fit(layout, x, start, offset, objective, costs, penalty, normal, gradient, residuals, outputs, jac,
+               [s.copy() for s in problem.scale])
+
+
+def _broyden(jac: list[np.ndarray], move: list[np.ndarray], change: list[np.ndarray], count: int,
+             nuisance_prior: np.ndarray) -> None:
+    """Correct Jacobians (per run) so that they give what a step did; nuisances in units of their priors."""
+    units = np.concatenate([np.ones(count), np.sqrt(nuisance_prior)])
+    for j, step, new in zip(jac, move, change, strict=True):
+        norm = float(np.sum((step * units) ** 2))
+        if norm > 1e-12:
+            j += np.outer(step * units**2 / norm, new.ravel() - step @ j)

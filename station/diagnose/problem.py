@@ -276,15 +276,16 @@ class Problem:
                               zero=zero, gap_place=place)
 
     def outputs(self, layout: Layout, x: np.ndarray, start: np.ndarray, offset: np.ndarray,
-                only: Sequence[int] | None = None) -> list[np.ndarray]:
-        """Simulated channels per run, each (channels, n), scaled."""
+                parallel: bool = False) -> list[np.ndarray]:
+        """Simulated channels per run, each (channels, n), scaled; ``parallel`` not from one of the pool's threads."""
         model = self.model(layout, x)
-        found = []
-        for i in range(len(self.runs)) if only is None else only:
+
+        def one(i: int) -> np.ndarray:
             simulation = self.simulate_run(model, layout, x, i, start[i], offset[i])
             columns = (simulation.encoder, simulation.accel)[: self.channels]
-            found.append((np.stack(columns) + self.chatter[i]) * self.scale[i])
-        return found
+            return (np.stack(columns) + self.chatter[i]) * self.scale[i]
+
+        return list((self.pool.map if parallel else map)(one, range(len(self.runs))))
 
 
 def _angle_that_reads(rig: Rig, reading: float, zero: float) -> float:

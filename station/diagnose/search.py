@@ -28,8 +28,8 @@ n of some thousand (Schwarz 1978)."""
 
 CLOSE = 150.0
 """Twice a log posterior within which two hypotheses are close rivals."""
-STRAINED = 2.5
-"""Prior sigmas beyond which a fitted constant counts as strained."""
+STRAINED, RELAXED = 2.5, 1.0
+"""Prior sigmas beyond which a fitted constant counts as strained, and to which it is then brought back."""
 
 
 @dataclass(frozen=True)
@@ -111,12 +111,12 @@ class Search:
 def base_fit(problem: Problem) -> Fit:
     """The best rig without further causes; sets the noise that rounding feeds back on the way."""
     layout = problem.layout(Hypothesis(), {})
-    found = fit(problem, layout, layout.prior_mean.copy(), exact_end=False)
+    found = fit(problem, layout, layout.prior_mean.copy(), tolerance=2.0, poor=math.inf)
     problem.calibrate(layout, found.x, found.start, found.offset)
-    found = fit(problem, layout, found.x, found.start, found.offset)
+    found = fit(problem, layout, found.x, found.start, found.offset, poor=math.inf)
     if found.chi2 > MISFIT * problem.samples.sum():
         problem.weigh(found.residuals)
-        found = fit(problem, layout, found.x, found.start, found.offset)
+        found = fit(problem, layout, found.x, found.start, found.offset, poor=math.inf)
     return found
 
 
@@ -242,17 +242,31 @@ def _starts_allowed(candidate: Candidate) -> int:
     return 3 if candidate.effect.stage is Stage.GAP else 1 + (len(candidate.guesses) > 4)
 
 
-def _starts(found: Fit) -> list[np.ndarray]:
-    """Where an exact fit begins: the quick fit's end and, where that strains the constants, their nominal values.
+def _relaxed(found: Fit) -> np.ndarray | None:
+    """Another start where a quick fit strains the constants: the strained ones back near their nominal values.
 
     Without the right cause the constants bend far to make up for it, into valleys that need not lead back.
     """
     constants = len(found.layout.paths)
     if np.max(np.abs(found.x[:constants])) < STRAINED:
-        return [found.x]
+        return None
     relaxed = found.x.copy()
-    relaxed[:constants] = 0.0
-    return [relaxed, found.x]
+    relaxed[:constants] = np.clip(relaxed[:constants], -RELAXED, RELAXED)
+    return relaxed
+
+
+def _polish(problem: Problem, found: Fit) -> Fit:
+    """A quick fit, fitted to the end; from the better of two starts where constants are strained."""
+    relaxed = _relaxed(found)
+    if relaxed is not None:
+        try:
+            other = fit(problem, found.layout, relaxed, found.start, found.offset, iterations=8, tolerance=2.0,
+                        parallel=False, exact_end=False)
+            found = min(found, other, key=lambda f: f.objective)
+        except ArithmeticError:
+            pass  # that start does not simulate; the quick fit stands
+    return fit(problem, found.layout, found.x, found.start, found.offset, jacobian=found.jacobian, iterations=15,
+               parallel=False)
 
 
 def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float, float], least: float) -> Fit:
@@ -298,12 +312,8 @@ def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float
             seen.add(key)
             exact.append(found)
     best = parent
-    for index, found in enumerate(exact):
-        for x in _starts(found):
-            try:
-                search.keep(fit(problem, found.layout, x, found.start, found.offset, iterations=15))
-            except ArithmeticError:
-                continue  # that start does not simulate; the quick fit stands
+    for index, found in enumerate(problem.pool.map(lambda f: _polish(problem, f), exact)):
+        search.keep(found)
         search.progress(f"fitted {found.layout.hypothesis.label}",
                         share[0] + (share[1] - share[0]) * (0.6 + 0.4 * (index + 1) / len(exact)))
     _borrow(search, [frozenset(f.layout.hypothesis.causes()) for f in exact])
@@ -318,17 +328,22 @@ def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float
 
 def _borrow(search: Search, keys: list[frozenset[tuple[str, str]]]) -> None:
     """Fit the close rivals of the best once more from the best's constants: no law loses by where its fit began."""
-    fitted = sorted((search.fits[k] for k in keys if k in search.fits), key=lambda f: f.objective)
-    for rival in fitted[1:]:
-        if rival.objective > fitted[0].objective + CLOSE:
-            continue
+    problem = search.problem
+    first, *others = sorted((search.fits[k] for k in keys if k in search.fits), key=lambda f: f.objective) or [None]
+
+    def again(rival: Fit) -> Fit | None:
         x = rival.x.copy()
         n = len(rival.layout.paths)
-        x[:n] = np.linalg.solve(rival.layout.root, fitted[0].logs)
+        x[:n] = np.linalg.solve(rival.layout.root, first.logs)
         try:
-            search.keep(fit(search.problem, rival.layout, x, fitted[0].start, fitted[0].offset, iterations=10))
+            return fit(problem, rival.layout, x, first.start, first.offset, jacobian=rival.jacobian, iterations=10,
+                       parallel=False)
         except ArithmeticError:
-            continue  # does not simulate from there; the fit that there is stands
+            return None  # does not simulate from there; the fit that there is stands
+
+    for found in problem.pool.map(again, [f for f in others if f.objective <= first.objective + CLOSE]):
+        if found is not None:
+            search.keep(found)
 
 
 def look_back(search: Search, found: Fit, pool: list[Candidate]) -> None:
@@ -354,7 +369,8 @@ def recalibrate(search: Search, best: Fit) -> Fit:
     problem = search.problem
     problem.unweigh()
     problem.calibrate(best.layout, best.x, best.start, best.offset)
-    again = fit(problem, best.layout, best.x, best.start, best.offset, iterations=0)
+    again = fit(problem, best.layout, best.x, best.start, best.offset, iterations=0,
+                jacobian=best.jacobian_at(problem.scale))
     if again.chi2 > MISFIT * problem.samples.sum():
         problem.weigh(again.residuals)
     temperature = search.temperature()
@@ -363,8 +379,13 @@ def recalibrate(search: Search, best: Fit) -> Fit:
     again = [f for f in leading if set(f.layout.hypothesis.causes()) <= parts]
     again += [f for f in leading if f not in again][: search.effort.exact - 1]
     search.fits = {}
-    for found in again:
-        search.keep(fit(problem, found.layout, found.x, found.start, found.offset, iterations=10))
+
+    def under_new_scale(found: Fit) -> Fit:
+        return fit(problem, found.layout, found.x, found.start, found.offset, iterations=10, parallel=False,
+                   jacobian=found.jacobian_at(problem.scale))
+
+    for found in problem.pool.map(under_new_scale, again):
+        search.keep(found)
     return search.best()
 
 
