@@ -153,93 +153,97 @@ def _chain(plan, state, command, h):
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def _port_sum(plan, state, stage, port, x, v, w):
+def _port_sum(laws, stage, port, x, v, w):
+    slots, first, arguments, effects, h = laws
     total = 0.0
-    for slot in range(plan.first[stage], plan.first[stage + 1]):
-        if plan.slots[slot, 0] == port:
-            total += call_law(plan.slots[slot, 1], x, v, w, element(plan.arguments, plan.slots[slot, 2]),
-                              element(state.effects, plan.slots[slot, 3]), plan.h)
+    for slot in range(first[stage], first[stage + 1]):
+        if slots[slot, 0] == port:
+            total += call_law(slots[slot, 1], x, v, w, element(arguments, slots[slot, 2]),
+                              element(effects, slots[slot, 3]), h)
     return total
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def _beyond_gap(plan, state, port, deflection):
-    for slot in range(plan.first[GAP], plan.first[GAP + 1]):
-        if plan.slots[slot, 0] == port:
-            deflection = call_law(plan.slots[slot, 1], deflection, 0.0, 0.0,
-                                  element(plan.arguments, plan.slots[slot, 2]),
-                                  element(state.effects, plan.slots[slot, 3]), plan.h)
+def _beyond_gap(laws, port, deflection):
+    slots, first, arguments, effects, h = laws
+    for slot in range(first[GAP], first[GAP + 1]):
+        if slots[slot, 0] == port:
+            deflection = call_law(slots[slot, 1], deflection, 0.0, 0.0, element(arguments, slots[slot, 2]),
+                                  element(effects, slots[slot, 3]), h)
     return deflection
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def _joint_torque(plan, state, port, deflection, speed):
+def _joint_torque(laws, port, stiffness, damping, deflection, speed):
     """Torque of a joint with all its effects (pulling its two sides together), N m."""
-    beyond = _beyond_gap(plan, state, port, deflection)
-    engaged = beyond != 0.0 or plan.first[GAP + 1] == plan.first[GAP]
-    torque = plan.joint_stiffness[port] * beyond + _port_sum(plan, state, SPRING, port, beyond, speed, 0.0)
+    first = laws[1]
+    beyond = _beyond_gap(laws, port, deflection)
+    engaged = beyond != 0.0 or first[GAP + 1] == first[GAP]
+    torque = stiffness * beyond + _port_sum(laws, SPRING, port, beyond, speed, 0.0)
     if engaged:
-        torque += plan.joint_damping[port] * speed
+        torque += damping * speed
     return torque
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def _mean_joint_torque(plan, state, port, old_angle, angle, old_speed, speed):
+def _mean_joint_torque(laws, port, stiffness, damping, old_angle, angle, old_speed, speed):
     """Joint torque over a step, N m: at its middle, or, where contact is made or lost, its mean over CROSSINGS points.
 
     A joint with a gap takes up its damper's torque at once at contact, so the share of the step in contact counts.
     """
+    first = laws[1]
     points = 1
-    if plan.first[GAP + 1] > plan.first[GAP]:
-        before = _beyond_gap(plan, state, port, old_angle)
-        after = _beyond_gap(plan, state, port, angle)
+    if first[GAP + 1] > first[GAP]:
+        before = _beyond_gap(laws, port, old_angle)
+        after = _beyond_gap(laws, port, angle)
         if (before > 0.0) != (after > 0.0) or (before < 0.0) != (after < 0.0):
             points = CROSSINGS
     total = 0.0
     for k in range(points):
         share = (k + 0.5) / points
-        total += _joint_torque(plan, state, port, old_angle + share * (angle - old_angle),
+        total += _joint_torque(laws, port, stiffness, damping, old_angle + share * (angle - old_angle),
                                old_speed + share * (speed - old_speed))
     return total / points
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def _solve_ports(plan, state, free_angle, free_speed, old_angle, old_speed):
-    """Port torques over this step, written to state.torque."""
-    ports = plan.port_joint.size
-    torque = state.torque
-    zero = state.last[2]
+def _solve_ports(laws, joints, gains, load_port, torque, zero, work):
+    """Port torques over this step, written to ``torque``; ``work`` holds the ports' free and old angles and speeds."""
+    kinds, stiffness, damping = joints
+    angle_gain, speed_gain = gains
+    ports = kinds.size
     for _ in range(MAX_ITERATIONS):
         change = 0.0
         for p in range(ports):
-            angle, speed = free_angle[p], free_speed[p]
+            angle, speed = work[0, p], work[1, p]
             for q in range(ports):
-                angle += plan.angle_gain[p, q] * torque[q]
-                speed += plan.speed_gain[p, q] * torque[q]
-            middle, mean = 0.5 * (old_angle[p] + angle), 0.5 * (old_speed[p] + speed)
-            if plan.port_joint[p] == 1:
-                linear = plan.joint_stiffness[p] * middle + plan.joint_damping[p] * mean
-                wanted = linear - _mean_joint_torque(plan, state, p, old_angle[p], angle, old_speed[p], speed)
+                angle += angle_gain[p, q] * torque[q]
+                speed += speed_gain[p, q] * torque[q]
+            middle, mean = 0.5 * (work[2, p] + angle), 0.5 * (work[3, p] + speed)
+            if kinds[p] == 1:
+                linear = stiffness[p] * middle + damping[p] * mean
+                wanted = linear - _mean_joint_torque(laws, p, stiffness[p], damping[p], work[2, p], angle, work[3, p],
+                                                     speed)
             else:
-                wanted = _port_sum(plan, state, TORQUE, p, middle + zero, mean, 0.0)
+                wanted = _port_sum(laws, TORQUE, p, middle + zero, mean, 0.0)
                 load = 0.0
-                if plan.load_port >= 0:
-                    j = plan.load_port
-                    a, s = free_angle[j], free_speed[j]
+                if load_port >= 0:
+                    j = load_port
+                    a, s = work[0, j], work[1, j]
                     for q in range(ports):
-                        a += plan.angle_gain[j, q] * torque[q]
-                        s += plan.speed_gain[j, q] * torque[q]
-                    load = abs(_mean_joint_torque(plan, state, j, old_angle[j], a, old_speed[j], s))
-                hold = _port_sum(plan, state, FRICTION, p, 0.0, 0.0, load)
+                        a += angle_gain[j, q] * torque[q]
+                        s += speed_gain[j, q] * torque[q]
+                    load = abs(_mean_joint_torque(laws, j, stiffness[j], damping[j], work[2, j], a, work[3, j], s))
+                hold = _port_sum(laws, FRICTION, p, 0.0, 0.0, load)
                 if hold > 0.0:
-                    loose = speed + plan.speed_gain[p, p] * (wanted - torque[p])
-                    needed = -loose / plan.speed_gain[p, p]
+                    loose = speed + speed_gain[p, p] * (wanted - torque[p])
+                    needed = -loose / speed_gain[p, p]
                     if abs(needed) <= hold:
                         wanted += needed
                     else:
-                        level = _port_sum(plan, state, FRICTION, p, abs(mean), 0.0, load)
+                        level = _port_sum(laws, FRICTION, p, abs(mean), 0.0, load)
                         wanted += -level if loose > 0.0 else level
-            change = max(change, abs(wanted - torque[p]) * plan.speed_gain[p, p])
+            change = max(change, abs(wanted - torque[p]) * speed_gain[p, p])
             torque[p] = wanted
         if change < TOLERANCE:
             break
@@ -316,6 +320,9 @@ def _advance(plan, state, command, work):
                or plan.first[ACCEL_FILTER + 1] > plan.first[ACCEL_FILTER])
     for p in range(ports):
         work[2, p], work[3, p] = _dot2(plan.port_angle[p], plan.port_speed[p], z)
+    laws = (plan.slots, plan.first, plan.arguments, state.effects, plan.h)
+    joints = (plan.port_joint, plan.joint_stiffness, plan.joint_damping)
+    gains = (plan.angle_gain, plan.speed_gain)
     for step in range(plan.substeps):
         extra = 0.0
         if step == plan.switch:
@@ -332,7 +339,7 @@ def _advance(plan, state, command, work):
         if ports > 0:
             for p in range(ports):
                 work[0, p], work[1, p] = _dot2(plan.port_angle[p], plan.port_speed[p], z)
-            _solve_ports(plan, state, work[0], work[1], work[2], work[3])
+            _solve_ports(laws, joints, gains, plan.load_port, state.torque, state.last[2], work)
             for p in range(ports):
                 work[2, p], work[3, p] = work[0, p], work[1, p]
                 for q in range(ports):
