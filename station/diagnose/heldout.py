@@ -18,10 +18,10 @@ def settle(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray, o
     angle = 0.5 * problem.rig.angle_per_count
     start, offset = start.copy(), offset.copy()
     for _ in range(2):
-        here = problem.outputs(layout, x, start, offset)
-        moved = [problem.outputs(layout, x, start + angle, offset)]
+        here = problem.outputs(layout, x, start, offset, by_command=False)
+        moved = [problem.outputs(layout, x, start + angle, offset, by_command=False)]
         if problem.has_accel:
-            moved.append(problem.outputs(layout, x, start, offset + 0.1))
+            moved.append(problem.outputs(layout, x, start, offset + 0.1, by_command=False))
         for r, (y, m, s) in enumerate(zip(here, problem.measured, problem.scale, strict=True)):
             columns = np.stack([((o[r] - y) / d).ravel() for o, d in zip(moved, (angle, 0.1), strict=False)])
             away = np.array([start[r] - problem.start[r], offset[r] - problem.offset[r]])[: problem.channels]

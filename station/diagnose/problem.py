@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -125,6 +125,8 @@ class Problem:
         self.scale = [np.sqrt(share) / self.sigma[: self.channels, None] for share in self.share]
         self.temper = np.ones((len(self.runs), self.channels))
         self.chatter = [np.zeros_like(share) for share in self.share]
+        self.by_command = True
+        self._driven = [_driven(r) for r in self.runs]
         self.start = np.array([self._start_angle(r) for r in self.runs])
         self.offset = np.array([self._offset(r) for r in self.runs])
         zero_ids = [r.metadata.zero_id or f"own {i}" for i, r in enumerate(self.runs)]
@@ -156,7 +158,10 @@ class Problem:
         Rounding makes the command chatter; chatter against the limit or against friction has a mean.  REALISATIONS
         pairs of simulations, with and without rounding, started within one count of each other, give that mean, which
         is added to every simulation, and the scatter about it, which is added to the noise (times how long it lasts).
+        Rigs driven by the logged command know of no such thing: the chatter is in the log.
         """
+        if self.by_command:
+            return
         model = self.model(layout, x)
         rng = np.random.default_rng(1)
 
@@ -178,6 +183,12 @@ class Problem:
                 lasting = float(np.mean([_correlation_time(row) for row in scatter]))
                 fed_back = power * lasting
                 self.scale[r][c] = np.sqrt(self.share[r][c] / (self.sigma[c] ** 2 + fed_back) / self.temper[r, c])
+
+    def close_loops(self) -> None:
+        """From now on simulate closed loops from their reference instead of from the logged command."""
+        self.by_command = False
+        self.temper[:] = 1.0
+        self.scale = [np.sqrt(share) / self.sigma[: self.channels, None] for share in self.share]
 
     def weigh(self, residuals: list[np.ndarray]) -> None:
         """Weigh runs and channels alike where a model misses something.
@@ -265,27 +276,38 @@ class Problem:
         return build(self.rig_of(layout, x), TRUNCATION, LONGEST_GAP if layout.gap_places else LONGEST)
 
     def simulate_run(self, model: Model, layout: Layout, x: np.ndarray, index: int, start: float,
-                     offset: float, rounding: bool | Literal["inside"] = False) -> Simulation:
-        """One run on a built rig with its nuisances; ``start`` (rad) is what the encoder reads at sample 0."""
+                     offset: float, rounding: bool | Literal["inside"] = False, by_command: bool = False) -> Simulation:
+        """One run on a built rig with its nuisances; ``start`` (rad) is what the encoder reads at sample 0.
+
+        ``by_command`` drives the rig with the logged command instead of closing the loop.
+        """
         extra = len(self.paths) + len(layout.coordinates)
         group = self.zero_group[index]
         zero = x[extra + group - 1] if layout.zeros and group else 0.0
         place = math.tanh(x[extra + layout.zeros + index]) if layout.gap_places else 0.0
         angle = _angle_that_reads(model.rig, start, zero)
-        return simulate_model(model, self.runs[index], rounding=rounding, start_angle=angle, accel_offset=offset,
+        run = (self._driven if by_command else self.runs)[index]
+        return simulate_model(model, run, rounding=rounding, start_angle=angle, accel_offset=offset,
                               zero=zero, gap_place=place)
 
     def outputs(self, layout: Layout, x: np.ndarray, start: np.ndarray, offset: np.ndarray,
-                parallel: bool = False) -> list[np.ndarray]:
+                parallel: bool = False, by_command: bool | None = None) -> list[np.ndarray]:
         """Simulated channels per run, each (channels, n), scaled; ``parallel`` not from one of the pool's threads."""
         model = self.model(layout, x)
+        by_command = self.by_command if by_command is None else by_command
 
         def one(i: int) -> np.ndarray:
-            simulation = self.simulate_run(model, layout, x, i, start[i], offset[i])
+            simulation = self.simulate_run(model, layout, x, i, start[i], offset[i], by_command=by_command)
             columns = (simulation.encoder, simulation.accel)[: self.channels]
             return (np.stack(columns) + self.chatter[i]) * self.scale[i]
 
         return list((self.pool.map if parallel else map)(one, range(len(self.runs))))
+
+
+def _driven(run: Run) -> Run:
+    """The same run as an open-loop test of its logged command."""
+    return replace(run, reference=run.command,
+                   metadata=run.metadata.model_copy(update={"controller": {"kind": "open"}}))
 
 
 def _angle_that_reads(rig: Rig, reading: float, zero: float) -> float:

@@ -346,22 +346,40 @@ def _borrow(search: Search, keys: list[frozenset[tuple[str, str]]]) -> None:
             search.keep(found)
 
 
-def look_back(search: Search, found: Fit, pool: list[Candidate]) -> None:
-    """Fit every set with one cause less, so that each cause must hold against its own absence."""
-    hypothesis = found.layout.hypothesis
-    by_key = {c.key: c for c in pool}
-    for key in hypothesis.causes():
-        rest = [k for k in hypothesis.causes() if k != key]
-        if frozenset(rest) in search.fits or not rest:
-            continue
-        parent = search.fits[frozenset()]
-        for other in rest:
-            sizes = _sizes(found.layout, found.x)
-            names = [(cls.name, at) for cls, at in hypothesis.effects]
-            guess = sizes[names.index(other)] if other in names else {}
-            layout, x, _ = child_layout(search.problem, parent, by_key[other], guess)
-            parent = fit(search.problem, layout, x, parent.start, parent.offset, iterations=15)
-        search.keep(parent)
+def look_back(search: Search, found: Fit) -> None:
+    """Fit every set with one cause less, from where the whole set ended: each cause must hold against its absence."""
+    problem, layout = search.problem, found.layout
+    n, causes = len(layout.paths), layout.hypothesis.causes()
+    if len(causes) < 2:
+        return
+    sizes = _sizes(layout, found.x)
+
+    def without(left_out: int) -> Fit | None:
+        effects = [k for k in range(len(layout.hypothesis.effects)) if k != left_out]
+        constants = tuple(c for k, c in enumerate(layout.hypothesis.constants, len(layout.hypothesis.effects))
+                          if k != left_out)
+        hypothesis = Hypothesis(tuple(layout.hypothesis.effects[k] for k in effects), constants)
+        smaller = problem.layout(hypothesis, {i: sizes[k] for i, k in enumerate(effects)})
+        kept = [i for i, c in enumerate(layout.coordinates) if c.effect != left_out]
+        x = smaller.prior_mean.copy()
+        x[:n] = np.linalg.solve(smaller.root, found.logs)
+        for j, i in enumerate(kept):
+            old, new = layout.coordinates[i], smaller.coordinates[j]
+            smaller.prior_mean[n + j] = new.to_x(old.to_value(layout.prior_mean[n + i]))
+            x[n + j] = new.to_x(old.to_value(found.x[n + i]))
+        if smaller.zeros == layout.zeros:
+            x[n + len(kept): n + len(kept) + smaller.zeros] = found.x[layout.size - layout.gap_places - layout.zeros:
+                                                                      layout.size - layout.gap_places]
+        if smaller.gap_places:
+            x[-smaller.gap_places:] = found.x[-layout.gap_places:]
+        try:
+            return fit(problem, smaller, x, found.start, found.offset, iterations=15, parallel=False)
+        except ArithmeticError:
+            return None  # does not simulate from there; what there is of that set stands
+
+    for smaller in problem.pool.map(without, range(len(causes))):
+        if smaller is not None:
+            search.keep(smaller)
 
 
 def recalibrate(search: Search, best: Fit) -> Fit:
@@ -390,7 +408,21 @@ def recalibrate(search: Search, best: Fit) -> Fit:
 
 
 def explore(problem: Problem, effort: Effort, progress: Callable[[str, float], None]) -> Search:
-    """The whole ladder; stops where the next rung buys nothing."""
+    """The whole search, first with every rig driven by the logged commands.
+
+    Command and outputs are then the two ends of the rig alone, and what rounding does inside the loop is in the log:
+    where the right model is among the hypotheses this says most.  Where none reaches the noise, errors add up over a
+    run that no controller corrects, and the search is done anew with closed loops.
+    """
+    search = _ladder(problem, effort, progress)
+    if search.misfit and any(run.metadata.controller.get("kind") != "open" for run in problem.runs):
+        problem.close_loops()
+        search = _ladder(problem, effort, progress)
+    return search
+
+
+def _ladder(problem: Problem, effort: Effort, progress: Callable[[str, float], None]) -> Search:
+    """One cause more per rung; stops where the next rung buys nothing."""
     search = Search(problem, effort, progress)
     progress("fitting the nominal rig's constants", 0.05)
     parent = base_fit(problem)
@@ -409,7 +441,7 @@ def explore(problem: Problem, effort: Effort, progress: Callable[[str, float], N
         if rung == 0:
             parent = recalibrate(search, child)
         else:
-            look_back(search, parent, pool)
+            look_back(search, parent)
             parent = search.best()
             if search.misfit:
                 parent = recalibrate(search, parent)
