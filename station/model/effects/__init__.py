@@ -67,6 +67,7 @@ def load_effects(path: str | Path) -> None:
 
     UsageError: it cannot be read, does not run, or defines no effect.
     """
+    _import_own()   # so that no file takes one of their names
     path = Path(path).expanduser().resolve()
     name = f"station_effects_{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:8]}"
     if name in sys.modules:

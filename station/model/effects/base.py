@@ -129,11 +129,8 @@ class Effect(BaseModel):
     @classmethod
     def parameters(cls) -> dict[str, ParameterInfo]:
         """Parameters in the order of their declaration."""
-        infos = {name: (field.json_schema_extra or {}).get("info")  # type: ignore[union-attr]
-                 for name, field in cls.model_fields.items() if name != "at"}
-        if bare := [name for name, info in infos.items() if info is None]:
-            raise TypeError(f"effect {cls.name!r}: {bare[0]} is not declared by parameter(unit, low, high)")
-        return infos  # type: ignore[return-value]
+        return {name: field.json_schema_extra["info"]  # type: ignore[index,call-overload]
+                for name, field in cls.model_fields.items() if name != "at"}
 
     @model_validator(mode="after")
     def _known_place(self) -> Effect:
@@ -176,6 +173,9 @@ def _problems(cls: type[Effect]) -> Iterator[str]:
     for other in named():
         if other.name == cls.name and (other.__module__, other.__qualname__) != (cls.__module__, cls.__qualname__):
             yield f"the name is taken by {other.__module__}.{other.__qualname__}"
+    for field_name, field in cls.model_fields.items():
+        if field_name != "at" and "info" not in (field.json_schema_extra or {}):
+            yield f"{field_name} is not declared by parameter(unit, low, high)"
     if not isinstance(getattr(cls, "stage", None), Stage):
         yield "no stage; one of Stage is wanted"
         return
