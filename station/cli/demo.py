@@ -57,8 +57,9 @@ def demo(
 
     import numpy as np
 
+    from station.campaign.hidden import draw
     from station.cli.diagnosis import save
-    from station.cli.hidden import Sealed, draw
+    from station.cli.sealed import Sealed
     from station.cli.views import status_names
     from station.diagnose.diagnose import diagnose
     from station.rig import load_rig

@@ -8,8 +8,9 @@ import json
 import numpy as np
 import pytest
 
+from station.campaign.hidden import CLEAR, LEFT_OUT, _outputs, draw, severity
 from station.cli.demo import APART, MARK, TESTS, _planned, told
-from station.cli.hidden import CLEAR, LEFT_OUT, Sealed, _outputs, draw, severity
+from station.cli.sealed import Sealed
 from station.diagnose.result import Cause, Diagnosis, DiagnosisResult, Estimate, Gain, Rival
 from station.model.effects import catalogue, effect_class
 from station.rig import load_rig
