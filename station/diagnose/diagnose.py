@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from station.diagnose.equivalences import SURE, Standing, completed, rivals, standing, with_word
 from station.diagnose.evidence import evidence
 from station.diagnose.experiment import next_experiment
 from station.diagnose.heldout import gain, leave_each_out, mean_error, settle, simulate_all
@@ -20,7 +21,6 @@ from station.diagnose.result import (
     DiagnosisResult,
     Gain,
     RankedCause,
-    Rival,
     RunComparison,
     Verdict,
     Wrong,
@@ -31,8 +31,6 @@ from station.model.simulate import Simulation
 from station.rig import Rig
 from station.runs.run import Run
 
-SURE = 0.8
-"""Below this the first cause is ambiguous."""
 WORTH = 0.3
 """Prior odds of each further cause where held-out errors decide: it must take two percent off them."""
 VISIBLE = 25.0
@@ -68,26 +66,27 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     bought = gain(problem, names, before, after)
     left = remainder(search, best)
     values, constants = estimates(search, best)
-    verdict = _verdict(search, found_odds, best_keys, left, gain(problem, names, refit, after), bought)
+    known = standing(problem, best_keys, problem.rig_of(best.layout, best.x))
+    told = completed(found_odds, best_keys, known)
+    verdict = _verdict(search, told, best_keys, left, gain(problem, names, refit, after), bought, known)
     causes = []
     if verdict in ("explained", "partly_explained", "ambiguous"):
-        for key in sorted(best_keys, key=lambda k: -found_odds.causes[k]):
-            others = found_odds.replacements(best_keys, key)
-            rivals = [Rival(effect=k[0], at=k[1], probability=min(p, 1.0))
-                      for k, p in sorted(others.items(), key=lambda row: -row[1])[:5] if p >= 0.005]
-            causes.append(Cause(effect=key[0], at=key[1], probability=min(found_odds.causes[key], 1.0),
-                                parameters=values[key], rivals=rivals))
+        for key in sorted(best_keys, key=lambda k: -told.causes[k]):
+            causes.append(Cause(effect=key[0], at=key[1], probability=min(told.causes[key], 1.0),
+                                parameters=values[key], rivals=rivals(told, best_keys, key, known)))
     extended = problem.rig_of(best.layout, best.x) if causes else problem.rig_of(nothing.layout, nothing.x)
     refit_rig = problem.rig_of(nothing.layout, nothing.x)
     shown: list[Simulation | None] = list(after) if causes else [None] * len(runs)
     comparisons = [RunComparison(run, b, r, a) for run, b, r, a in zip(runs, before, refit, shown, strict=True)]
     report("choosing the next experiment", 0.96)
     diagnosis = Diagnosis(verdict=verdict, wrong=_wrong(runs, before), causes=causes, gain=bought,
-                          next_experiment=next_experiment(search, found_odds, verdict))
+                          next_experiment=with_word(next_experiment(search, found_odds, verdict), verdict, told,
+                                                    best_keys, known))
     pictures = evidence(refit_rig, extended, runs[:1] if windows else runs, [(c.effect, c.at) for c in causes])
     report("done", 1.0)
     return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, _ranking(search, found_odds), pictures,
-                           constants, _notes(rig, search, left), time.perf_counter() - begun)
+                           constants, _notes(rig, search, left), time.perf_counter() - begun,
+                           equivalences=[row.equivalence.sentence for row in known] if causes else [])
 
 
 def _odds_unseen(search: Search, found: Odds) -> Odds:
@@ -123,7 +122,7 @@ def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice] | Non
 
 
 def _verdict(search: Search, found: Odds, best: frozenset, left: Remainder, over_refit: Gain, over_nominal: Gain,
-             ) -> Verdict:
+             known: Sequence[Standing]) -> Verdict:
     if not best:
         if not left.is_noise:
             return "unexplained"
@@ -140,7 +139,7 @@ def _verdict(search: Search, found: Odds, best: frozenset, left: Remainder, over
         if over_refit.explained_fraction is None or over_refit.explained_fraction < 0.3 or share is None:
             return "unexplained"
         return "partly_explained"
-    return "ambiguous" if first < SURE else "explained"
+    return "ambiguous" if known or first < SURE else "explained"
 
 
 def _wrong(runs: Sequence[Run], before: Sequence[Simulation]) -> list[Wrong]:

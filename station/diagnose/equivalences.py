@@ -35,7 +35,7 @@ from pydantic import ValidationError
 from station.diagnose.candidates import candidates
 from station.diagnose.posterior import UNITS, Key, Odds, normalised
 from station.diagnose.problem import WIDE, Problem
-from station.diagnose.result import NextExperiment
+from station.diagnose.result import NextExperiment, Rival, Verdict
 from station.diagnose.search import LOG_PRIOR, LOG_PRIOR_PARAMETER
 from station.model.effects import Effect, Stage, effect_class
 from station.rig import Rig
@@ -44,6 +44,10 @@ BELIEVABLE = 1e-3
 """Odds beforehand, against the set named, from which another set of wrong constants counts as one side."""
 FLOOR = 1e-3
 """Least probability stated for a rival that no data could rule out: nobody knows prior odds better than that."""
+SURE = 0.8
+"""Probability from which on the leading cause, or what is equivalent to it, stands alone."""
+LISTED, LONGEST_LIST = 0.005, 5
+"""Least probability of a rival that is listed without an equivalence, and how many are."""
 INPUT, ENCODER = ("input_delay", "amplifier"), ("encoder_delay", "encoder")
 ACCEL, CLOCK = ("accelerometer_delay", "accelerometer"), ("clock_scale", "clock")
 TILT, RIPPLE = ("gravity_tilt", "base"), ("torque_ripple", "motor")
@@ -308,7 +312,7 @@ def _tilt(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
 TABLE: tuple[Equivalence, ...] = (
     Equivalence(
         "delays",
-        "A command that acts late does exactly what an encoder and an accelerometer do that both read as late.",
+        "A command that acts late does exactly what the sensors (encoder, accelerometer) do where all read as late.",
         "Rig and compensator are the same at all times. With P the rig at rest before the test, D(x) a delay of x, "
         "a, b, c the delays of input, encoder and accelerometer: encoder = D(b) P D(a) u = D(a+b) P u and "
         "accelerometer = D(c) P' D(a) u = D(a+c) P' u, laws that are not linear included, for P D = D P. The "
@@ -406,20 +410,28 @@ def bound_rivals(named: frozenset[Key], cause: Key, known: Sequence[Standing]) -
     return {key for row in known for side in row.sides if cause not in side.causes for key in side.causes - named}
 
 
-def nothing_tells(odds: Odds, named: frozenset[Key], known: Sequence[Standing], otherwise: NextExperiment | None,
-                  settled: float) -> NextExperiment | None:
-    """The next experiment: no test where only equivalent sets are left, else the one that was chosen, and a word.
+def rivals(odds: Odds, named: frozenset[Key], cause: Key, known: Sequence[Standing]) -> list[Rival]:
+    """The likeliest causes in place of a named one, and all that are so by an equivalence, however unlikely."""
+    others = odds.replacements(named, cause)
+    bound = bound_rivals(named, cause, known)
+    likely = sorted((key for key in others if key not in bound and others[key] >= LISTED), key=lambda k: -others[k])
+    found = [Rival(effect=k[0], at=k[1], probability=min(others[k], 1.0)) for k in likely[:LONGEST_LIST]]
+    found += [Rival(effect=k[0], at=k[1], probability=min(max(others.get(k, 0.0), FLOOR), 1.0)) for k in sorted(bound)]
+    return sorted(found, key=lambda rival: -rival.probability)
 
-    ``settled``: probability of all equivalent sets together from which on no other rival is worth a test.
-    """
-    if not known:
-        return otherwise
-    words = " ".join(f"{row.equivalence.sentence} No test of this station can tell them apart: {row.equivalence.tells}."
-                     for row in known)
+
+def with_word(asked: NextExperiment | None, verdict: Verdict, odds: Odds, named: frozenset[Key],
+              known: Sequence[Standing]) -> NextExperiment | None:
+    """The next experiment where equivalences stand: what to look at, and no test if nothing else is left open."""
+    if not known or verdict not in ("ambiguous", "partly_explained"):
+        return asked
+    words = ". ".join(f"{row.equivalence.sentence} No test of this station can tell them apart: {row.equivalence.tells}"
+                      for row in known)
     alike = {named, *(side.causes for row in known for side in row.sides)}
-    if otherwise is None or otherwise.test is None or sum(p for keys, p in odds.sets if keys in alike) >= settled:
+    settled = verdict == "ambiguous" and sum(p for keys, p in odds.sets if keys in alike) >= SURE
+    if asked is None or settled:
         return NextExperiment(test=None, why=words)
-    return NextExperiment(test=otherwise.test, why=f"{otherwise.why} {words}")
+    return NextExperiment(test=asked.test, why=f"{asked.why}. {words}")
 
 
 def as_markdown() -> str:

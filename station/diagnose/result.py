@@ -151,3 +151,5 @@ class DiagnosisResult:
     constants: dict[str, Estimate] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     seconds: float = 0.0
+    equivalences: list[str] = field(default_factory=list)
+    """What is known to be the same as the causes named, in sentences."""

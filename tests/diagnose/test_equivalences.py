@@ -20,10 +20,11 @@ from station.diagnose.equivalences import (
     bound_rivals,
     completed,
     dimension,
-    nothing_tells,
     powers,
     rescaled,
+    rivals,
     standing_in,
+    with_word,
 )
 from station.diagnose.posterior import Odds
 from station.diagnose.result import NextExperiment
@@ -279,11 +280,17 @@ def test_of_clear_constants_only_the_gain_is_forced(path, sigmas):
 
 def test_the_others_on_the_scale_are_rivals_of_the_gain():
     _, causes, _, found, _ = sides_of("gain")
-    rivals = bound_rivals(causes, GAIN, found)
+    bound = bound_rivals(causes, GAIN, found)
     paths = list(SFLR.constants())
     scale = {parameter(p) for p, power in zip(paths, powers(paths, 0), strict=True) if power}
-    assert rivals == scale - {GAIN}
-    assert bound_rivals(causes, ("dead_zone", "amplifier"), found) == rivals
+    assert bound == scale - {GAIN}
+    other, held = ("dead_zone", "amplifier"), ("coulomb_friction", "motor")
+    odds = completed(Odds([(causes, 0.9), (frozenset({other}), 0.08), (frozenset({held}), 0.02)], {}, 0.0), causes,
+                     found)
+    said = {(r.effect, r.at): r.probability for r in rivals(odds, causes, GAIN, found)}
+    assert set(said) == bound | {other, held} and said.pop(other) == pytest.approx(0.08)
+    assert said.pop(held) == pytest.approx(0.02) and set(said.values()) == {FLOOR}
+    assert {(r.effect, r.at) for r in rivals(odds, causes, GAIN, [])} == {other, held}
 
 
 def test_odds_of_two_sides_stand_as_the_prior_says():
@@ -305,11 +312,13 @@ def test_no_test_is_proposed_where_only_equivalents_are_left():
     found = standing_in(setting(SFLR), named, SFLR.with_effects(late(input=0.003)))
     chosen = NextExperiment(test={"kind": "step"}, why="they differ here")
     sure, torn = (completed(Odds([(named, p), (other, 1.0 - p)], {INPUT: p}, 0.0), named, found) for p in (0.99, 0.6))
-    said = nothing_tells(sure, named, found, chosen, 0.8)
+    said = with_word(chosen, "ambiguous", sure, named, found)
     assert said.test is None and found[0].equivalence.sentence in said.why and "hardware" in said.why
-    said = nothing_tells(torn, named, found, chosen, 0.8)
-    assert said.test == chosen.test and chosen.why in said.why and found[0].equivalence.sentence in said.why
-    assert nothing_tells(sure, named, [], chosen, 0.8) is chosen
+    for odds, verdict in ((torn, "ambiguous"), (sure, "partly_explained")):
+        said = with_word(chosen, verdict, odds, named, found)
+        assert said.test == chosen.test and chosen.why in said.why and found[0].equivalence.sentence in said.why
+    assert with_word(chosen, "ambiguous", sure, named, []) is chosen
+    assert with_word(None, "unexplained", sure, named, found) is None
 
 
 def test_the_docs_hold_the_table():
