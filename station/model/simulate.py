@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from station.control.compensators import Compensator
+from station.errors import WorkError
 from station.model import stepper
 from station.model.assembly import Assembly, assemble, torque_input
 from station.model.compiled import address
@@ -276,12 +277,15 @@ def simulate_model(model: Model, run: Run, *, rounding: bool | Literal["inside"]
                    states: bool = False) -> Simulation:
     """As ``simulate``, with a rig that has been built.
 
-    ``rounding`` "inside" rounds what the compensator sees and sends, but returns what was rounded.
+    ``rounding`` "inside" rounds what the compensator sees and sends, but returns what was rounded.  WorkError: the
+    run's controller reads a sensor that the rig has not.
     """
     inside = stepper.INSIDE if rounding == "inside" else (stepper.ALL if rounding else stepper.NONE)
     meta, rig = run.metadata, model.rig
     state = initial_state(model, start_angle, zero, equilibrium=meta.start == "equilibrium", gap_place=gap_place)
     controller = controller_arrays(meta.controller, rig, meta.accel_zero)
+    if rig.accelerometer is None and controller.accel_numerator.any():
+        raise WorkError(f"{run.name}: its controller reads an accelerometer, and rig {rig.name} has none")
     rows = len(run.t)
     reference = np.ascontiguousarray(run.reference, dtype=float)
     closed = not controller.open_loop

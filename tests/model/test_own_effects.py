@@ -96,6 +96,7 @@ def test_the_option_brings_a_file_and_says_so_to_the_processes_that_follow(tmp_p
     (EFFECT.format(name="Own Drag", law="0.0", body=PARAMETER), "small letters"),
     (EFFECT.format(name="own_drag", law="0.0", body="coefficient: float = 0.0"), "declared by parameter"),
     (EFFECT.format(name="own_drag", law="0.0", body='coefficient: float = parameter("1", 0.0)'), "neutral value"),
+    (EFFECT.format(name="own_drag", law="0.0", body='rate: float = parameter("Hz", 0.0, neutral=0.0)'), "is made of"),
     (EFFECT.format(name="own_drag", law="0.0", body=PARAMETER + '\n    picture = "nice"'), "picture is one of"),
     (EFFECT.format(name="own_drag", law="0.0", body=PARAMETER + '\n    absolute = "rest"'), "names no parameter"),
     (EFFECT.format(name="own_drag", law="0.0", body=PARAMETER).replace('"motor",', '"drive",'), "sites are of"),

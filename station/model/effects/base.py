@@ -66,6 +66,8 @@ PLACES = {Stage.COMMAND: {"amplifier"}, Stage.TORQUE: {"motor", "base"}, Stage.F
           Stage.CLOCK: {"clock"}}
 """Where an effect of each stage may stand."""
 LAWLESS = {Stage.INPUT_DELAY, Stage.ENCODER_DELAY, Stage.ACCEL_DELAY, Stage.CLOCK}
+UNIT = re.compile(r"(1|(N|kg|m|s|rad|rev|counts?)(\^\d+)?)([ /](N|kg|m|s|rad|rev|counts?)(\^\d+)?)*")
+"""Units as they are written: "N m s^2/rad^2", "1/rev", "1"."""
 PICTURES = {"time", "speed", "angle", "deflection", "command", "frequency", "acceleration"}
 
 
@@ -174,8 +176,11 @@ def _problems(cls: type[Effect]) -> Iterator[str]:
         if other.name == cls.name and (other.__module__, other.__qualname__) != (cls.__module__, cls.__qualname__):
             yield f"the name is taken by {other.__module__}.{other.__qualname__}"
     for field_name, field in cls.model_fields.items():
-        if field_name != "at" and "info" not in (field.json_schema_extra or {}):
+        info = (field.json_schema_extra or {}).get("info")  # type: ignore[union-attr]
+        if field_name != "at" and info is None:
             yield f"{field_name} is not declared by parameter(unit, low, high)"
+        elif info is not None and not UNIT.fullmatch(info.unit):  # type: ignore[union-attr]
+            yield f"{field_name}: a unit is made of N, kg, m, s, rad, rev and counts, not {info.unit!r}"
     if not isinstance(getattr(cls, "stage", None), Stage):
         yield "no stage; one of Stage is wanted"
         return
