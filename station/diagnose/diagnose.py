@@ -10,7 +10,7 @@ import numpy as np
 
 from station.diagnose.equivalences import SURE, Standing, completed, rivals, standing, with_word
 from station.diagnose.evidence import evidence
-from station.diagnose.experiment import next_experiment
+from station.diagnose.experiment import choose
 from station.diagnose.heldout import gain, leave_each_out, mean_error, settle, simulate_all
 from station.diagnose.measures import nrmse, step_measures
 from station.diagnose.posterior import Odds, Remainder, estimates, normalised, odds, remainder
@@ -33,6 +33,8 @@ from station.runs.run import Run
 
 WORTH = 0.3
 """Prior odds of each further cause where held-out errors decide: it must take two percent off them."""
+FEW = 3
+"""Runs below which even a settled verdict asks for another test."""
 VISIBLE = 25.0
 """chi^2 at which an effect of a plain size shows."""
 
@@ -47,6 +49,7 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     if effort not in EFFORTS:
         raise UsageError(f"--effort: {effort!r} is none of {', '.join(EFFORTS)}")
     report = progress or (lambda text, share: None)
+    given = len(runs)
     runs, windows = _usable(rig, runs)
     problem = Problem(rig, runs, windows=windows)
     search = explore(problem, EFFORTS[effort], report)
@@ -79,14 +82,16 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     shown: list[Simulation | None] = list(after) if causes else [None] * len(runs)
     comparisons = [RunComparison(run, b, r, a) for run, b, r, a in zip(runs, before, refit, shown, strict=True)]
     report("choosing the next experiment", 0.96)
+    choice = choose(search, found_odds, verdict)
+    decided = verdict in ("explained", "nothing_missing") and given >= FEW
     diagnosis = Diagnosis(verdict=verdict, wrong=_wrong(runs, before), causes=causes, gain=bought,
-                          next_experiment=with_word(next_experiment(search, found_odds, verdict), verdict, told,
-                                                    best_keys, known))
+                          next_experiment=with_word(None if decided else choice.next, verdict, told, best_keys, known))
     pictures = evidence(refit_rig, extended, runs[:1] if windows else runs, [(c.effect, c.at) for c in causes])
     report("done", 1.0)
     return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, _ranking(search, found_odds), pictures,
                            constants, _notes(rig, search, left), time.perf_counter() - begun,
-                           equivalences=[row.equivalence.sentence for row in known] if causes else [])
+                           choice.plan, choice.prediction,
+                           [row.equivalence.sentence for row in known] if causes else [])
 
 
 def _odds_unseen(search: Search, found: Odds) -> Odds:

@@ -12,7 +12,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from station.diagnose.result import DiagnosisResult, Evidence, RunComparison
+from station.diagnose.result import DiagnosisResult, Evidence, Prediction, RunComparison
 from station.model.simulate import Simulation
 from station.view import remaining
 from station.view.labels import place_labels
@@ -133,6 +133,25 @@ def evidence_figure(evidence: Evidence) -> go.Figure:
         _log_x(figure, x)
     if evidence.kind == "spectrum" and len(y) and y.min() > 0.0:
         figure.update_yaxes(type="log")
+    return figure
+
+
+def prediction_figure(prediction: Prediction) -> go.Figure:
+    """What two rivals predict of a test that has not been run: each channel, and under it how far they differ."""
+    pairs = {"encoder": prediction.encoder} | ({"accel": prediction.accel} if prediction.accel is not None else {})
+    titles = [title for c in pairs for title in (f"{CHANNELS[c]}, {_UNITS[c]}", f"{CHANNELS[c]}: difference")]
+    figure = make_subplots(rows=len(titles), cols=1, shared_xaxes=True, vertical_spacing=0.22 / len(titles),
+                           subplot_titles=titles)
+    _plain(figure)
+    looks = (("after", "solid", 2.4), ("before", "dash", 2.0))
+    for index, pair in enumerate(pairs.values()):
+        for name, (role, dash, width), values in zip(prediction.names, looks, pair, strict=True):
+            figure.add_trace(_line(prediction.t, values, role, escape(name), dash, width, legend=index == 0),
+                             row=2 * index + 1, col=1)
+        figure.add_trace(_line(prediction.t, pair[0] - pair[1], "law", "difference", "solid", 1.2, legend=False),
+                         row=2 * index + 2, col=1)
+    figure.update_xaxes(range=[float(prediction.t[0]), float(prediction.t[-1])])
+    figure.update_xaxes(title_text="time (s)", row=len(titles), col=1)
     return figure
 
 

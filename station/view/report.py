@@ -115,6 +115,10 @@ class _Page:
             self._add("spectrum", figures.spectrum_figure(result.comparisons))
             self._add("whiteness", figures.whiteness_figure(result.comparisons))
 
+        asked = self.diagnosis.next_experiment
+        if result.prediction is not None and asked is not None and asked.test is not None:
+            self._add("next", figures.prediction_figure(result.prediction))
+
     def _add(self, name: str, figure: go.Figure) -> None:
         self.figures[name] = figure
 
@@ -140,6 +144,11 @@ class _Page:
     def open(self) -> bool:
         """Whether the runs leave open which cause it is."""
         return self.diagnosis.verdict == "ambiguous"
+
+    @property
+    def next_rows(self) -> int:
+        """Panels of the figure of the next experiment: each channel and its difference."""
+        return 2 if self.result.prediction is None or self.result.prediction.accel is None else 4
 
     @property
     def has_after(self) -> bool:
