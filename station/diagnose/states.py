@@ -7,9 +7,10 @@ C = (H + P^-1)^-1 is the sum of what the noise leaves, C H C, and of what the pr
                                        it (to first order) to the value's own
     alone_i = (P^-1)_ii / (C^-1)_ii    the same with all other values known
 
-A value whose share is at most half is determined.  Where the prior holds it even with all others known (alone), these
-runs do not excite it.  Else the runs see it, but only together with others: it is traded off, and so is a value that
-follows another (correlation beyond FOLLOWS), however well both are known.  So all constants that carry the unit of
+A value whose share is at most half is determined.  Where the prior holds it even with all others known (alone), or
+where it moves with no other (correlations below MOVES), these runs do not excite it.  Else the runs see it, but only
+together with others: it is traded off, and so is a value that follows another (correlation beyond FOLLOWS), however
+well both are known.  So all constants that carry the unit of
 torque are traded off with each other: their ratios are determined, their common factor is the rig file's.
 """
 
@@ -27,8 +28,8 @@ from station.diagnose.problem import FARTHEST, Layout
 State = Literal["determined", "at_bound", "traded_off", "not_excited"]
 HALF = 0.5
 """Share of the variance from which on the prior holds a value rather than the runs."""
-FOLLOWS = 0.95
-"""Correlation of two values from which on one follows the other."""
+MOVES, FOLLOWS = 0.5, 0.95
+"""Correlations of two values from which on one moves with the other, and from which on it follows it."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ def states(covariance: np.ndarray, prior: np.ndarray, bounded: Collection[int] =
         held, part = float(share[i]), float(min(share[i], 1.0))
         if i in bounded:
             found.append(ValueState("at_bound", None, part))
-        elif held > HALF and alone[i] > HALF:
+        elif held > HALF and (alone[i] > HALF or others.max() < MOVES):
             found.append(ValueState("not_excited", None, part))
         elif held > HALF or others.max() > FOLLOWS:
             found.append(ValueState("traded_off", int(np.argmax(others)), part))

@@ -36,6 +36,14 @@ def test_what_the_data_do_not_touch_is_not_excited():
     assert found[1].share == pytest.approx(25.0 / 30.0) and found[1].partner is None
 
 
+@pytest.mark.parametrize("others, wanted", [(8, "not_excited"), (1, "traded_off")])
+def test_one_number_shared_with_many_says_nothing_of_each(others, wanted):
+    """With one other value it is a trade; spread over eight, none is its partner and the prior holds it."""
+    direction = np.r_[1.0, np.full(others, 1.0 / math.sqrt(others))]
+    prior = np.eye(others + 1)
+    assert states(posterior(20.0 * np.outer(direction, direction), prior), prior)[0].state == wanted
+
+
 def test_the_border_is_where_data_and_prior_say_as_much():
     prior = np.diag([0.01, 0.01])
     assert names(states(posterior(np.diag([101.0, 99.0]), prior), prior)) == ["determined", "not_excited"]
