@@ -32,6 +32,7 @@ import numpy as np  # noqa: E402
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
+from station.campaign.order import by_share, in_turn  # noqa: E402
 from station.campaign.outcome import Key, Outcome, Task  # noqa: E402
 from station.campaign.program import sources_hash  # noqa: E402
 from station.campaign.run import Results, run_campaign  # noqa: E402
@@ -47,6 +48,9 @@ CLOCK = ("clock_scale", "clock")
 EQUIVALENT = {("input_delay", "amplifier"), ("parameter:motor.gain", "")}
 """Causes that others imitate exactly: late sensors together, the torque's scale.  The verdict must be `ambiguous`.
 A clock that is off, too, without host times, which these cases have."""
+PLAIN = {f"parameter:{key}" for key in ("drive.stiffness", "base.inertia", "clamp.stiffness", "beam.length",
+                                          "accelerometer.gain")}
+"""Constants that pairs may hold: on most rigs some size of these is clear, of the others on few or none."""
 INSEPARABLE = (
     {"coulomb_friction@motor", "stribeck_friction@motor"},          # their levels add to one law's
     {"encoder_delay@encoder", "accelerometer_delay@accelerometer"},  # together an input delay
@@ -74,14 +78,8 @@ def causes(band: str) -> tuple[list[Cause], dict[str, str]]:
     return found, never
 
 
-def in_turn(items: Sequence[Any], rng: np.random.Generator) -> Iterator[Any]:
-    """Each as often as any other, every round in a new order."""
-    while True:
-        yield from (items[i] for i in rng.permutation(len(items)))
-
-
 def pairs(items: Sequence[Cause], rng: np.random.Generator) -> Iterator[list[Cause]]:
-    """Two different effects, or an effect and a constant."""
+    """Two different effects, or an effect and a constant; every cause as often as any other."""
     first, second = in_turn([c for c in items if ":" not in c[0]], rng), in_turn(items, rng)
     for one in first:
         other = next(second)
@@ -91,24 +89,18 @@ def pairs(items: Sequence[Cause], rng: np.random.Generator) -> Iterator[list[Cau
 
 
 def campaign(first_seed: int, effort: str, only: Sequence[str], chosen: Sequence[Cause]) -> Iterator[Task]:
-    """Cases without end; each class comes when it is furthest behind its share."""
+    """Cases without end."""
     rng = np.random.default_rng([first_seed, 0xB11D])
     singles = {band: [c for c in causes(band)[0] if not chosen or c in chosen] for band in BANDS}
-    plain = [c for c in causes("clear")[0] if c != CLOCK]
+    plain = [c for c in causes("clear")[0] if c != CLOCK and (":" not in c[0] or c[0] in PLAIN)]
     hidden: dict[str, Iterator[list[Cause]]] = {
         **{band: ([c] for c in in_turn(singles[band], rng)) for band in BANDS},
         "clean": iter(lambda: [], None), "pair": pairs(plain, rng),
         "outside": ([(name, None)] for name in in_turn(outside_names(SFLR), rng))}
     weights = {name: MIX[name] for name in MIX if name in only and singles.get(name, True)}
-    given = dict.fromkeys(weights, 0)
-    total = sum(weights.values())
-    i = 0
-    while True:
-        name = max(weights, key=lambda n: weights[n] * (i + 1) / total - given[n])
-        given[name] += 1
+    for i, name in enumerate(by_share(weights)):
         band = {"clear": "clear", "subtle": "subtle", "pair": "clear"}.get(name)
         yield blind_task(first_seed + i, next(hidden[name]), effort=effort, runs=None, band=band, group=name)
-        i += 1
 
 
 def figures(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:

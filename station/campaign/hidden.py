@@ -28,8 +28,9 @@ DRAWS = 200
 
 def places(nominal: Rig) -> list[tuple[str, str]]:
     """(effect, at) of everything that may be hidden in such a rig."""
+    taken = {(effect.name, effect.at) for effect in nominal.effects}
     return [(name, at) for name, cls in catalogue().items() if name not in LEFT_OUT
-            for at in cls.sites if cls.fits(nominal, at)]
+            for at in cls.sites if cls.fits(nominal, at) and (name, at) not in taken]
 
 
 def draw(nominal: Rig, tests: list[Run], noise: float, rng: np.random.Generator,
@@ -47,8 +48,9 @@ def draw(nominal: Rig, tests: list[Run], noise: float, rng: np.random.Generator,
         effects = [_draw_size(catalogue()[name], at, clean, rng) for name, at in chosen]
         if any(effect is None for effect in effects):
             continue
-        found = clean.with_effects([effect for effect in effects if effect is not None])
-        if all(_shows(nominal, clean, clean.with_effects([effect]), tests, noise) for effect in found.effects) and (
+        alone = [clean.with_effects([*clean.effects, effect]) for effect in effects if effect is not None]
+        found = clean.with_effects([*clean.effects, *(effect for effect in effects if effect is not None)])
+        if all(_shows(nominal, clean, rig, tests, noise) for rig in alone) and (
                 len(effects) < 2 or _moves(_outputs(clean, tests), _outputs(found, tests))):
             return found
     names = " and ".join(f"{name} at the {at}" for name, at in hidden) if hidden else "effect"

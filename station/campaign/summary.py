@@ -111,6 +111,7 @@ def gains(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
             row[channel] = {"nrmse_before": median(before for before, _ in pairs),
                             "nrmse_after": median(after for _, after in pairs)}
         row["explained_fraction"] = median(o.gain.get("explained_fraction") for o in cases)
+        row["seconds"] = median(o.seconds for o in cases)
         rows.append(row)
     return rows
 
