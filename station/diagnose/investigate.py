@@ -3,9 +3,10 @@
 This knows of no serial line: whoever calls it says how a test is run.
 
 When it ends (``ending``): not before LEAST runs, since what one or two runs say, later ones overturn.  Then as soon as
-two diagnoses in a row agree and the last is settled: one that explains, every cause at least SURE probable; or one that
-misses nothing.  Or as soon as no test would tell the rivals apart, twice in a row; or when two diagnoses in a row, from
-PATIENCE runs on, agree that something is wrong which the catalogue does not describe.  Or when the budget is spent.
+two diagnoses in a row agree (the same causes, and the first of them did not find more wrong than the last) and the last
+is settled: one that explains, every cause at least SURE probable; or one that misses nothing.  Or as soon as no test
+would tell the rivals apart, twice in a row; or when two diagnoses in a row, from PATIENCE runs on, agree that something
+is wrong which the catalogue does not describe.  Or when the budget is spent.
 """
 
 from __future__ import annotations
@@ -81,13 +82,13 @@ class Investigation:
 def ending(steps: list[Step], budget: int) -> tuple[Outcome, str] | None:
     """Whether an investigation is over: how it ended, and why in words; None while a further test is worth it."""
     last = steps[-1]
-    agree = len(steps) > 1 and steps[-2].accused == last.accused
     verdict = last.result.diagnosis.verdict
+    agree = len(steps) > 1 and steps[-2].accused == last.accused and (
+        steps[-2].result.diagnosis.verdict in (verdict, "ambiguous", "not_enough_data"))
     if len(steps) >= LEAST and agree:
         if last.settled:
             return "decided", "two diagnoses in a row agree, and nothing is left open"
-        if verdict in ("unexplained", "partly_explained") and len(steps) >= PATIENCE \
-                and steps[-2].result.diagnosis.verdict == verdict:
+        if verdict in ("unexplained", "partly_explained") and len(steps) >= PATIENCE:
             return "hopeless", "more is wrong than the catalogue describes, and further tests do not change that"
     if len(steps) >= LEAST and _stuck(last) and _stuck(steps[-2]):
         return "hopeless", last.result.diagnosis.next_experiment.why
