@@ -62,7 +62,7 @@ def hero(comparison: RunComparison, channel: str) -> go.Figure:
 
     The reference joins them where the loop is closed and it rests at few levels, as in a step.
     """
-    figure = _empty()
+    figure = empty()
     run = comparison.run
     lines = {"measured": getattr(run, channel)}
     lines |= {role: getattr(s, channel) for role, s in simulations(comparison).items()}
@@ -105,7 +105,7 @@ def run_figure(comparison: RunComparison) -> go.Figure:
 
 def evidence_figure(evidence: Evidence) -> go.Figure:
     """The picture specific to a cause: the points, their median where they are many, and the fitted law."""
-    figure = _empty(hovermode="closest")
+    figure = empty(hovermode="closest")
     x, y = np.asarray(evidence.x, float), np.asarray(evidence.y, float)
     if evidence.kind in _LINE_KINDS:
         figure.add_trace(_line(x, y, "measured", "measured", "solid", 1.6))
@@ -286,7 +286,8 @@ def _floats(values: np.ndarray) -> np.ndarray:
     return np.asarray(values, dtype=np.float32)
 
 
-def _empty(hovermode: str = "x unified") -> go.Figure:
+def empty(hovermode: str = "x unified") -> go.Figure:
+    """A figure as the pages want it, with nothing in it."""
     return _plain(go.Figure(), hovermode, top=30)
 
 
