@@ -12,7 +12,7 @@ from station.diagnose.equivalences import SURE, Standing, completed, rivals, sta
 from station.diagnose.evidence import evidence
 from station.diagnose.experiment import choose
 from station.diagnose.heldout import gain, leave_each_out, mean_error, settle, simulate_all
-from station.diagnose.measures import nrmse, step_measures
+from station.diagnose.measures import floor, nrmse, step_measures
 from station.diagnose.posterior import Odds, Remainder, estimates, normalised, odds, remainder
 from station.diagnose.problem import FEATURES, Problem
 from station.diagnose.result import (
@@ -26,6 +26,7 @@ from station.diagnose.result import (
     Wrong,
 )
 from station.diagnose.search import EFFORTS, Search, explore
+from station.diagnose.unseen import unseen_gain
 from station.errors import UsageError, WorkError
 from station.model.simulate import Simulation
 from station.rig import Rig
@@ -84,7 +85,7 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     report("choosing the next experiment", 0.96)
     choice = choose(search, found_odds, verdict)
     decided = verdict in ("explained", "nothing_missing") and given >= FEW
-    diagnosis = Diagnosis(verdict=verdict, wrong=_wrong(runs, before), causes=causes, gain=bought,
+    diagnosis = Diagnosis(verdict=verdict, wrong=_wrong(runs, before, problem.noise), causes=causes, gain=bought,
                           next_experiment=with_word(None if decided else choice.next, verdict, told, best_keys, known))
     pictures = evidence(refit_rig, extended, runs[:1] if windows else runs, [(c.effect, c.at) for c in causes])
     report("done", 1.0)
@@ -147,8 +148,8 @@ def _verdict(search: Search, found: Odds, best: frozenset, left: Remainder, over
     return "ambiguous" if known or first < SURE else "explained"
 
 
-def _wrong(runs: Sequence[Run], before: Sequence[Simulation]) -> list[Wrong]:
-    """What the nominal rig gets wrong, the largest first."""
+def _wrong(runs: Sequence[Run], before: Sequence[Simulation], noise: Sequence[float]) -> list[Wrong]:
+    """What the nominal rig gets wrong, the largest first; beside an nrmse stands the floor that noise alone sets."""
     found = []
     for run, simulation in zip(runs, before, strict=True):
         count = 100.0 / max(np.ptp(run.reference), 1.0)
@@ -166,7 +167,7 @@ def _wrong(runs: Sequence[Run], before: Sequence[Simulation]) -> list[Wrong]:
                 found.append((100.0 * abs(peak_m - peak_s) / max(peak_m, 1.0),
                               Wrong(run=run.name, channel="encoder", measure="peak_counts", simulated=peak_s,
                                     measured=peak_m)))
-        for channel in ("encoder", "accel"):
+        for channel, sigma in zip(("encoder", "accel"), noise, strict=True):
             m, s = getattr(run, channel), getattr(simulation, channel)
             if m is None or s is None:
                 continue
@@ -174,27 +175,29 @@ def _wrong(runs: Sequence[Run], before: Sequence[Simulation]) -> list[Wrong]:
             if misfit > 0.1:
                 worst = int(np.argmax(np.abs(m - s)))
                 found.append((misfit, Wrong(run=run.name, channel=channel, measure="nrmse", simulated=misfit,
-                                            measured=0.0, where=f"largest at t = {run.t[worst]:.3f} s")))
+                                            measured=floor(m, sigma), where=f"largest at t = {run.t[worst]:.3f} s")))
     return [wrong for _, wrong in sorted(found, key=lambda row: -row[0])]
 
 
 def _ranking(search: Search, found: Odds) -> list[RankedCause]:
     """Every cause that was fitted, by probability, then by how much it bought alone."""
-    nothing = search.fits[frozenset()].chi2
+    nothing = search.fits[frozenset()]
     temperature = search.temperature()
     rows: dict[tuple[str, str], RankedCause] = {}
     for keys, fitted in search.fits.items():
         if len(keys) == 1:
             key = next(iter(keys))
             values, _ = estimates(search, fitted)
-            rows[key] = RankedCause(key[0], key[1], found.causes.get(key, 0.0), (nothing - fitted.chi2) / temperature,
-                                    None, values.get(key, {}))
+            rows[key] = RankedCause(key[0], key[1], found.causes.get(key, 0.0),
+                                    (nothing.chi2 - fitted.chi2) / temperature,
+                                    unseen_gain(nothing, fitted, temperature), values.get(key, {}))
     for key, probability in found.causes.items():
         if key not in rows:
             smallest = min((f for k, f in search.fits.items() if key in k), key=lambda f: f.objective)
             values, _ = estimates(search, smallest)
-            rows[key] = RankedCause(key[0], key[1], probability, (nothing - smallest.chi2) / temperature, None,
-                                    values.get(key, {}), note=f"as part of {smallest.layout.hypothesis.label}")
+            rows[key] = RankedCause(key[0], key[1], probability, (nothing.chi2 - smallest.chi2) / temperature,
+                                    unseen_gain(nothing, smallest, temperature), values.get(key, {}),
+                                    note=f"as part of {smallest.layout.hypothesis.label}")
     return sorted(rows.values(), key=lambda r: (-r.probability, -r.delta_chi2))
 
 

@@ -31,6 +31,8 @@ def print_diagnosis(result: DiagnosisResult, console: Console, rig: str = "RIG")
         rows = [(wording.cause_title(c.effect, c.at), wording.probability(c.probability), name.replace("_", " "),
                  wording.interval(e)) for c in found.causes for name, e in c.parameters.items()]
         console.print(_table("Causes", ["cause", "probability", "parameter", "value (95 % interval)"], rows))
+    for sentence in result.equivalences:
+        console.print(_plain(f"{sentence} No test can tell the two apart."))
     if result.ranking:
         named = {(c.effect, c.at) for c in found.causes}
         console.print(_table("Candidates", ["candidate", "probability", "Δχ²", "gain", "why it stands here"], [

@@ -127,8 +127,9 @@ def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
                 "partly_explained": "it comes closer, but more remains"}
         return f"The simulation {_accusation(causes, rig)}; with that put right, {ends[diagnosis.verdict]}."
     if diagnosis.verdict == "ambiguous" and causes:
-        rivals = [*causes[:1], *causes[0].rivals[:2]]
-        certain = f" besides {titles(causes[1:])}" if len(causes) > 1 else ""
+        first = next((c for c in causes if c.rivals), causes[0])
+        rivals, others = [first, *first.rivals[:2]], [c for c in causes if c is not first]
+        certain = f" besides {titles(others)}" if others else ""
         if len(rivals) == 1:
             return f"The simulation gets something wrong{certain}; {titles(rivals)} would explain it, " \
                    "but these runs cannot settle it."
@@ -168,7 +169,9 @@ def measure(item: Wrong) -> tuple[str, str, str]:
         if value is None:
             return "never" if item.measure == "settling_time" else "–"
         return f"{number(factor * value)}{unit}"
-    measured = "–" if item.measure == "nrmse" else shown(item.measured)
+    measured = shown(item.measured)
+    if item.measure == "nrmse" and item.measured is not None:
+        measured = f"{percent(item.measured)} by noise alone"
     return f"{CHANNELS[item.channel]} {words}", shown(item.simulated), measured
 
 

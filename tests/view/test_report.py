@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from station.diagnose.result import Diagnosis, Gain
+from station.diagnose.result import Diagnosis, Gain, Wrong
 from station.errors import WorkError
+from station.view import wording
 from station.view.report import report_html, write_report
 from station.view.wording import VERDICTS
 from tests.view import made
@@ -72,6 +73,27 @@ def test_rivals_lose_for_a_stated_reason() -> None:
     text = Page(report_html(made.result())).text
     assert "dead zone in the amplifier 0.3 % 6120 22 % explains less: Δχ² is 2003 below the first's" in text
     assert "wrong tip mass < 0.1 % 230 −3.0 % does not help on unseen runs" in text
+
+
+def test_what_is_known_to_be_the_same_stands_beside_the_cause() -> None:
+    same = "A late <command> is a late sensor."
+    html = report_html(replace(made.result("ambiguous"), equivalences=[same]))
+    assert f"{same} No test can tell the two apart." in Page(html).text and same not in html
+    assert "No test can tell" not in Page(report_html(made.result("ambiguous"))).text
+
+
+def test_an_error_stands_beside_what_noise_alone_leaves() -> None:
+    item = Wrong(run="a", channel="accel", measure="nrmse", simulated=0.31, measured=0.021)
+    assert wording.measure(item) == ("acceleration error", "31.0 % of the signal", "2.1 % by noise alone")
+    assert wording.measure(item.model_copy(update={"measured": None}))[2] == "–"
+
+
+def test_an_ambiguous_verdict_speaks_of_the_cause_that_has_rivals() -> None:
+    result = made.result("ambiguous")
+    cause = result.diagnosis.causes[0]
+    sure = cause.model_copy(update={"effect": "dead_zone", "at": "amplifier", "rivals": []})
+    said = wording.verdict_sentence(result.diagnosis.model_copy(update={"causes": [sure, cause]}), result.rig)
+    assert "besides dead zone in the amplifier" in said and "whether it is Coulomb friction at the motor" in said
 
 
 def test_names_from_files_are_escaped_everywhere() -> None:
