@@ -13,6 +13,7 @@ from station.campaign.hidden import draw
 from station.campaign.outcome import Outcome, Task, diagnosed
 from station.control.named import NAMED
 from station.control.references import reference_from_test
+from station.control.rounding import round_half_up
 from station.errors import UsageError
 from station.model.simulate import build, simulate_model
 from station.rig import Rig
@@ -31,7 +32,7 @@ def planned(rig: Rig, factors: Sequence[float] | None = None) -> list[Run]:
     """The tests as runs that have not happened: references, controllers, and the open loops' commands."""
     runs = []
     for (name, (controller, test)), factor in zip(TESTS.items(), factors or [1.0] * len(TESTS), strict=True):
-        test = {**test, "amplitude": float(np.floor(test["amplitude"] * factor + 0.5))}
+        test = {**test, "amplitude": float(round_half_up(test["amplitude"] * factor))}
         reference = reference_from_test(test, rig.sample_rate)
         command = np.clip(reference, -rig.amplifier.limit, rig.amplifier.limit)
         still = np.zeros(len(reference))
@@ -56,14 +57,19 @@ def suited(rig: Rig) -> list[str]:
 
 
 def measured(rig: Rig, test: Run, rng: np.random.Generator, offset: float, start_angle: float) -> Run:
-    """A test on a rig, whole counts, with the accelerometer's noise and offset."""
-    made = simulate_model(build(rig), test, start_angle=start_angle, accel_offset=offset)
+    """A test on a rig, whole counts, with the accelerometer's noise and offset; its noise may not enter a loop."""
+    made = simulate_model(build(rig), test, rounding="inside", start_angle=start_angle, accel_offset=offset)
     accel = made.accel
     if accel is not None:
         limit = min([effect.values()["limit"] for effect in rig.effects if effect.name == "accelerometer_saturation"],
                     default=np.inf)
-        accel = np.floor(np.clip(accel + rng.normal(0.0, NOISE, len(accel)), -limit, limit) + 0.5)
-    return replace(test, command=made.command, encoder=made.encoder, accel=accel)
+        accel = _whole(np.clip(accel + rng.normal(0.0, NOISE, len(accel)), -limit, limit))
+    return replace(test, command=_whole(made.command), encoder=_whole(made.encoder), accel=accel)
+
+
+def _whole(values: np.ndarray) -> np.ndarray:
+    """Rounded half up."""
+    return np.floor(values + 0.5)
 
 
 def case(task: Task) -> Outcome:

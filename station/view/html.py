@@ -16,9 +16,13 @@ from station.errors import WorkError
 from station.view import wording
 
 
-def render(template: str, **values: Any) -> str:
-    """A page's HTML; every text is escaped but the style, the scripts and the figures' JSON."""
-    return _environment().get_template(template).render(words=wording, plotly=get_plotlyjs(), css=_asset("report.css"),
+def render(template: str, *styles: str, **values: Any) -> str:
+    """A page's HTML; every text is escaped but the style, the scripts and the figures' JSON.
+
+    ``styles`` are sheets beyond the one that all pages have.
+    """
+    css = "\n".join(map(_asset, ("report.css", *styles)))
+    return _environment().get_template(template).render(words=wording, plotly=get_plotlyjs(), css=css,
                                                         js=_asset("report.js"), **values)
 
 
