@@ -121,3 +121,12 @@ def test_a_rig_without_accelerometer_has_one_channel() -> None:
 def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(WorkError, match=r"nowhere.report\.html: cannot be written"):
         write_report(made.result(), tmp_path / "nowhere" / "report.html")
+
+
+def test_the_next_experiment_is_a_line_to_type_with_what_it_should_show() -> None:
+    full = replace(made.result("ambiguous"), prediction=made.prediction())
+    html = report_html(full)
+    assert 'id="figure-next"' in html and '"next":{' in html
+    assert "station run pulse --port PORT --rig RIG --amplitude 25 --duration 2" in Page(html).text
+    settled = replace(full, diagnosis=full.diagnosis.model_copy(update={"next_experiment": None}))
+    assert 'id="figure-next"' not in report_html(settled) and '"next":{' not in report_html(settled)
