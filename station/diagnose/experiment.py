@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,7 +34,7 @@ from station.diagnose.problem import ELEMENTS, LONGEST, LONGEST_GAP, TRUNCATION
 from station.diagnose.result import NextExperiment, Prediction, Verdict
 from station.diagnose.search import Search
 from station.diagnose.trials import Trial, most, trials
-from station.model.effects import Effect, Stage
+from station.model.effects import Effect, Stage, catalogue
 from station.model.simulate import Model, Simulation, build, simulate_model
 from station.rig import Rig
 from station.runs.run import Run
@@ -51,7 +51,7 @@ DECIDES = 9.0
 """D from which on a test is worth running: the odds are then expected to move by a factor of ninety."""
 SHOWS = 25.0
 """chi^2 at which an effect shows."""
-AXES = 12
+AXES = 10
 """Directions of the posterior, widest first, whose predictions are worked out."""
 STEP = 0.5
 """Longest step along one, prior sigmas or logarithm."""
@@ -64,7 +64,7 @@ SLACK = 0.1
 AGAIN = 0.5
 """What the worth of a test is multiplied by that was run already."""
 REFINED = (0.7, 1.4)
-"""Amplitudes tried about the best tests', as factors."""
+"""Amplitudes tried about the best test's, as factors."""
 BOLD = 6
 """Draws from the rig's stated uncertainty on which the first test must behave."""
 SPAN = 10
@@ -205,14 +205,13 @@ class Planner:
         return Prediction(trial.complete(), run.t, run.reference, words, (pair[0][0], pair[1][0]), accel)
 
     def best(self, judge: Callable[[list[Trial]], list[Worth]], start: list[Trial]) -> Worth | None:
-        """The best of the trials, then of the best ones' amplitudes about; of equals the shorter and gentler."""
+        """The best of the trials and of amplitudes about the best one's; of equals the shorter and gentler."""
         judged = judge(start)
-        leading = sorted(judged, key=lambda w: -w.value)[:2]
-        finer = [trial for w in leading for factor in REFINED
-                 if (trial := w.trial.sized(factor, most(w.trial, self.rig))) not in start]
-        judged += judge(list({(str(t.test), str(t.controller)): t for t in finer}.values())) if finer else []
         if not judged:
             return None
+        leading = max(judged, key=lambda w: w.value).trial
+        finer = [leading.sized(factor, most(leading, self.rig)) for factor in REFINED]
+        judged += judge([trial for trial in finer if trial not in start])
         top = max(w.value for w in judged)
         return min((w for w in judged if w.value >= (1.0 - SLACK) * top), key=lambda w: w.cost)
 
@@ -368,7 +367,7 @@ def choose(search: Search, odds: Odds, verdict: Verdict) -> Choice:
         beliefs = [belief(search, search.fits[keys]) for keys, _ in rivals]
         found = planner.best(between(planner, beliefs, [p for _, p in rivals]), trials(problem.rig, causes))
         if found is not None and found.decides:
-            return _choice(found)
+            return _choice(replace(found, why=found.why + _telling(best)))
         if verdict == "ambiguous":
             undecidable = (f"{beliefs[0].words} and {beliefs[1].words} predict the same, within what refitted "
                            "constants absorb, in every test that this station can run")
@@ -409,6 +408,14 @@ def _choice(found: Worth | None) -> Choice:
         return Choice(none, None, none)
     asked = NextExperiment(test=found.trial.complete(), why=found.why)
     return Choice(asked, found.prediction, asked)
+
+
+def _telling(keys: frozenset[Key]) -> str:
+    """What to look for in a test that tells effects from their rivals, in the effects' own words."""
+    known = catalogue()
+    words = [f"{known[name].title}: {known[name].telling}" for name, _ in sorted(keys)
+             if name in known and known[name].telling]
+    return f" ({'. '.join(words)})" if words else ""
 
 
 def _words(keys: frozenset[Key]) -> str:

@@ -16,6 +16,7 @@ from station.diagnose.experiment import (
     Belief,
     Planner,
     Worth,
+    _telling,
     absorbed,
     between,
     first_test,
@@ -209,3 +210,10 @@ def test_planned_runs_carry_the_loop_as_the_station_runs_it():
     assert run.metadata.command_row == -1 and run.metadata.controller == P
     hard = replace(STEPS[0], test={"kind": "pulse", "amplitude": 900.0}, controller=OPEN).as_run(SFLR)
     assert np.max(np.abs(hard.command)) == SFLR.amplifier.limit
+
+
+def test_the_words_of_the_effects_say_what_to_look_for():
+    """Those of every effect that is named; a constant, or nothing, has none."""
+    said = _telling(frozenset([("dead_zone", "amplifier"), ("parameter:tip.mass", "")]))
+    assert said == f" (dead zone: {effect_class('dead_zone').telling})" and "Coulomb friction" in said
+    assert _telling(frozenset()) == _telling(frozenset([("parameter:tip.mass", "")])) == ""

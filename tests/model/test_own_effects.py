@@ -99,6 +99,10 @@ def test_the_option_brings_a_file_and_says_so_to_the_processes_that_follow(tmp_p
     (EFFECT.format(name="own_drag", law="0.0", body='rate: float = parameter("Hz", 0.0, neutral=0.0)'), "is made of"),
     (EFFECT.format(name="own_drag", law="0.0", body=PARAMETER + '\n    picture = "nice"'), "picture is one of"),
     (EFFECT.format(name="own_drag", law="0.0", body=PARAMETER + '\n    absolute = "rest"'), "names no parameter"),
+    (EFFECT.format(name="own_drag", law="0.0", body=PARAMETER + '\n    experiment: ClassVar = {"kind": "kick"}'),
+     "experiment: test.kind: 'kick' is none of"),
+    (EFFECT.format(name="own_drag", law="0.0", body=PARAMETER
+                   + '\n    experiment: ClassVar = {"kind": "step", "controller": "pid"}'), "experiment.controller"),
     (EFFECT.format(name="own_drag", law="0.0", body=PARAMETER).replace('"motor",', '"drive",'), "sites are of"),
     (EFFECT.format(name="own_drag", law="0.0", body=PARAMETER).replace("w, p, s, h", "w"), "law is a function of"),
     (EFFECT.format(name="own_drag", law="0.0", body=PARAMETER).replace("def guesses", "def sizes"), "no guesses"),

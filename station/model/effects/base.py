@@ -37,6 +37,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from station.control.named import NAMED
+from station.control.references import reference_from_test
+from station.errors import UsageError
+
 if TYPE_CHECKING:
     from station.rig import Rig
 
@@ -193,6 +197,14 @@ def _problems(cls: type[Effect]) -> Iterator[str]:
         yield "law is a function of x, v, w, p, s, h"
     if cls.picture not in PICTURES:
         yield f"picture is one of {', '.join(sorted(PICTURES))}, not {cls.picture!r}"
+    if cls.experiment:
+        test = {"amplitude": 1.0, **cls.experiment}
+        if test.pop("controller", "p") not in NAMED:
+            yield f"experiment.controller is one of {', '.join(NAMED)}, not {cls.experiment['controller']!r}"
+        try:
+            reference_from_test(test, 500.0)
+        except UsageError as error:
+            yield f"experiment: {error}"
     if all(info.neutral is None for info in cls.parameters().values()):
         yield "no parameter has a neutral value, at which the effect does nothing"
     if cls.absolute is not None and cls.absolute not in cls.parameters():
