@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from station.runs import export_run  # noqa: E402
-from tests.diagnose.blind import Task, made  # noqa: E402
+from tests.diagnose.blind import blind_task, made  # noqa: E402
 
 WANTED = 25.0
 COUNTED = """
@@ -72,7 +72,7 @@ def main() -> int:
     print(f"{'hidden':28s} {'samples':>7s} {'wall s':>7s} {'CPU s':>7s} {'peak MB':>8s}   simulations alone")
     for text in options.hidden:
         name, _, at = text.partition("@")
-        case = made(Task(options.seed, None if name == "clean" else name, at or None))
+        case = made(blind_task(options.seed, [] if name == "clean" else [(name, at or None)]))
         with tempfile.TemporaryDirectory() as folder:
             files = [str(Path(folder) / f"{run.name}.csv") for run in case.runs]
             for run, path in zip(case.runs, files, strict=True):

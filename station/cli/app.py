@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 import station
-from station.cli import demo, devices, diagnosis, files, models, run, views
+from station.cli import campaign, demo, devices, diagnosis, files, investigate, models, run, views
 
 
 def build() -> typer.Typer:
@@ -17,7 +19,7 @@ def build() -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"]},
         epilog="Start here: station demo. Every command has its own --help with an example.")
     app.callback()(_options)
-    for group in (demo, devices, run, files, views, models, diagnosis):
+    for group in (demo, devices, run, files, views, models, diagnosis, investigate, campaign):
         app.add_typer(group.app)
     return app
 
@@ -28,6 +30,18 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-def _options(version: Annotated[bool, typer.Option("--version", is_eager=True, callback=_print_version,
-                                                   help="Show the version and exit.")] = False) -> None:
+def _options(
+    version: Annotated[bool, typer.Option("--version", is_eager=True, callback=_print_version,
+                                          help="Show the version and exit.")] = False,
+    effects: Annotated[list[Path] | None, typer.Option("--effects", metavar="FILE.py", help=(
+        "Python file with effects of your own, which is run; may be repeated. Stands before the command; the "
+        "environment variable STATION_EFFECTS does the same."))] = None,
+) -> None:
     """Test a rig, find what its simulation gets wrong, name the cause, and measure the gain."""
+    if effects:
+        from station.model.effects import FILES, load_effects
+
+        for path in effects:
+            load_effects(path)
+        files = [os.environ.get(FILES, ""), *(str(path.resolve()) for path in effects)]
+        os.environ[FILES] = os.pathsep.join(filter(None, files))    # for the processes that a command starts

@@ -2,26 +2,14 @@
 
 from __future__ import annotations
 
-import math
 import tomllib
 from pathlib import Path
 from typing import Any
 
+from station.control.named import NAMED, SAMPLED_AT
 from station.errors import UsageError
 
 MAX_FILE_BYTES = 1 << 20
-SAMPLED_AT = 500.0
-LEAD = {"gain": 20.0, "zero": 10.0 * math.pi, "pole": 40.0 * math.pi}
-NAMED: dict[str, dict[str, Any]] = {
-    "open": {"kind": "open"},
-    "p": {"kind": "p", "gain": 2.0},
-    "lead": {"kind": "lead", **LEAD},
-    "lead-accel": {
-        "kind": "lead_accel", **LEAD,
-        "accel_numerator": [0.00045097, 0.00045152, -0.00044989, -0.00045043],
-        "accel_denominator": [1.0, -2.9289362, 2.85853684, -0.92960052]},
-}
-"""Those of the thesis; the accelerometer's compensator is sampled, as its log's header gives it."""
 
 
 def controller_spec(name_or_path: str, sample_rate: float, **changes: float | None) -> dict[str, Any]:

@@ -7,11 +7,12 @@ import tempfile
 import time
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 from urllib.parse import urlencode
 
 import typer
 
+from station.campaign.battery import NOISE, TESTS
 from station.cli.options import command
 from station.cli.terminal import console, number, progress, quantity, row, say, table, write_text
 from station.errors import WorkError
@@ -27,16 +28,6 @@ if TYPE_CHECKING:
 app = typer.Typer()
 
 NOMINAL = "sflr"
-NOISE = 0.5
-"""Accelerometer, counts, one sigma."""
-TESTS: dict[str, tuple[str, dict[str, Any]]] = {
-    "pulse": ("open", {"kind": "pulse", "amplitude": 100.0}),
-    "pulse_small": ("open", {"kind": "pulse", "amplitude": 40.0, "width": 0.2}),
-    "step_p": ("p", {"kind": "step", "amplitude": 50.0}),
-    "step_lead": ("lead", {"kind": "step", "amplitude": 100.0}),
-    "sweep": ("p", {"kind": "sweep", "amplitude": 50.0, "f1": 20.0, "duration": 8.0}),
-}
-"""Controller and test by name of the run."""
 APART = ("step_apart", ("lead", {"kind": "step", "amplitude": -70.0}))
 """The run that the diagnosis never sees."""
 MARK = "station-demo"
@@ -57,8 +48,10 @@ def demo(
 
     import numpy as np
 
+    from station.campaign.hidden import draw
+    from station.campaign.simulated import planned
     from station.cli.diagnosis import save
-    from station.cli.hidden import Sealed, draw
+    from station.cli.sealed import Sealed
     from station.cli.views import status_names
     from station.diagnose.diagnose import diagnose
     from station.rig import load_rig
@@ -73,7 +66,7 @@ def demo(
         rng = np.random.default_rng(seed)
         say(f"1. A hidden rig, seed {seed}: {NOMINAL} with constants drawn within their uncertainty, and one effect")
         with progress("compiling the stepper, drawing the rig"):
-            sealed = Sealed.write(draw(nominal, _planned(nominal), NOISE, rng), Path(hiding) / "hidden_rig.toml")
+            sealed = Sealed.write(draw(nominal, planned(nominal), NOISE, rng), Path(hiding) / "hidden_rig.toml")
         say(f"   drawn from the catalogue. Sealed; the SHA-256 of its file is\n   {sealed.sha256}")
         say()
         say(f"2. Tests over the serial protocol, the firmware core answering{', in real time' if realtime else ''}")
@@ -111,23 +104,6 @@ def _fresh(folder: Path) -> Path:
     (folder / "runs").mkdir(parents=True)
     write_text(folder / MARK, "Made by `station demo`, which replaces this folder when it runs again.\n")
     return folder
-
-
-def _planned(rig: Rig) -> list[Run]:
-    """The tests as runs that have not happened: references, controllers, and the open loops' commands."""
-    import numpy as np
-
-    from station.cli.controllers import controller_spec
-    from station.control.references import reference_from_test
-    from station.runs.run import Run, RunMetadata
-
-    planned = []
-    for name, (controller, test) in TESTS.items():
-        reference = reference_from_test(test, rig.sample_rate)
-        still = np.zeros(len(reference))
-        metadata = RunMetadata(controller=controller_spec(controller, rig.sample_rate), command_row=-1)
-        planned.append(Run(name, np.arange(len(reference)) * rig.period, reference, reference, still, still, metadata))
-    return planned
 
 
 def _measure(nominal: Rig, hidden: Path, folder: Path, rng: np.random.Generator, realtime: bool) -> dict[str, Run]:

@@ -40,7 +40,7 @@ def diagnose(
         result = find(nominal, loaded, effort=effort, progress=lambda text, share: update(share, text))
     save(result, json=json, report=report, rig=save_rig)
     if json != "-":
-        print_diagnosis(result, console())
+        print_diagnosis(result, console(), rig)
 
 
 def save(result: DiagnosisResult, *, json: Path | str | None, report: Path | None, rig: Path | None) -> None:

@@ -32,11 +32,16 @@ class Candidate:
 
 
 def candidates(rig: Rig) -> list[Candidate]:
-    """All causes for this rig; what its file already holds is part of it and no cause."""
+    """All causes for this rig; what its file already holds is part of it and no cause.
+
+    Without a drive motor and base are one part: an effect that may stand at either is one cause, at the motor.
+    """
     held = {(e.name, e.at) for e in rig.effects}
     found = []
     for cls in catalogue().values():
         for at in cls.sites:
+            if at == "base" and rig.drive is None and "motor" in cls.sites:
+                continue
             if cls.fits(rig, at) and (cls.name, at) not in held:
                 found.append(Candidate(cls, at, None, tuple(cls.guesses(rig, at))))
     return found + [Candidate(None, "", path) for path in rig.constants()]

@@ -8,10 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from station.diagnose.equivalences import SURE, Standing, completed, rivals, standing, with_word
 from station.diagnose.evidence import evidence
-from station.diagnose.experiment import next_experiment
+from station.diagnose.experiment import choose
 from station.diagnose.heldout import gain, leave_each_out, mean_error, settle, simulate_all
-from station.diagnose.measures import nrmse, step_measures
+from station.diagnose.measures import floor, nrmse, step_measures
 from station.diagnose.posterior import Odds, Remainder, estimates, normalised, odds, remainder
 from station.diagnose.problem import FEATURES, Problem
 from station.diagnose.result import (
@@ -20,21 +21,21 @@ from station.diagnose.result import (
     DiagnosisResult,
     Gain,
     RankedCause,
-    Rival,
     RunComparison,
     Verdict,
     Wrong,
 )
 from station.diagnose.search import EFFORTS, Search, explore
+from station.diagnose.unseen import unseen_gain
 from station.errors import UsageError, WorkError
 from station.model.simulate import Simulation
 from station.rig import Rig
 from station.runs.run import Run
 
-SURE = 0.8
-"""Below this the first cause is ambiguous."""
 WORTH = 0.3
 """Prior odds of each further cause where held-out errors decide: it must take two percent off them."""
+FEW = 3
+"""Runs below which even a settled verdict asks for another test."""
 VISIBLE = 25.0
 """chi^2 at which an effect of a plain size shows."""
 
@@ -49,6 +50,7 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     if effort not in EFFORTS:
         raise UsageError(f"--effort: {effort!r} is none of {', '.join(EFFORTS)}")
     report = progress or (lambda text, share: None)
+    given = len(runs)
     runs, windows = _usable(rig, runs)
     problem = Problem(rig, runs, windows=windows)
     search = explore(problem, EFFORTS[effort], report)
@@ -68,26 +70,29 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     bought = gain(problem, names, before, after)
     left = remainder(search, best)
     values, constants = estimates(search, best)
-    verdict = _verdict(search, found_odds, best_keys, left, gain(problem, names, refit, after), bought)
+    known = standing(problem, best_keys, problem.rig_of(best.layout, best.x))
+    told = completed(found_odds, best_keys, known)
+    verdict = _verdict(search, told, best_keys, left, gain(problem, names, refit, after), bought, known)
     causes = []
     if verdict in ("explained", "partly_explained", "ambiguous"):
-        for key in sorted(best_keys, key=lambda k: -found_odds.causes[k]):
-            others = found_odds.replacements(best_keys, key)
-            rivals = [Rival(effect=k[0], at=k[1], probability=min(p, 1.0))
-                      for k, p in sorted(others.items(), key=lambda row: -row[1])[:5] if p >= 0.005]
-            causes.append(Cause(effect=key[0], at=key[1], probability=min(found_odds.causes[key], 1.0),
-                                parameters=values[key], rivals=rivals))
+        for key in sorted(best_keys, key=lambda k: -told.causes[k]):
+            causes.append(Cause(effect=key[0], at=key[1], probability=min(told.causes[key], 1.0),
+                                parameters=values[key], rivals=rivals(told, best_keys, key, known)))
     extended = problem.rig_of(best.layout, best.x) if causes else problem.rig_of(nothing.layout, nothing.x)
     refit_rig = problem.rig_of(nothing.layout, nothing.x)
     shown: list[Simulation | None] = list(after) if causes else [None] * len(runs)
     comparisons = [RunComparison(run, b, r, a) for run, b, r, a in zip(runs, before, refit, shown, strict=True)]
     report("choosing the next experiment", 0.96)
-    diagnosis = Diagnosis(verdict=verdict, wrong=_wrong(runs, before), causes=causes, gain=bought,
-                          next_experiment=next_experiment(search, found_odds, verdict))
+    choice = choose(search, found_odds, verdict)
+    decided = verdict in ("explained", "nothing_missing") and given >= FEW
+    diagnosis = Diagnosis(verdict=verdict, wrong=_wrong(runs, before, problem.noise), causes=causes, gain=bought,
+                          next_experiment=with_word(None if decided else choice.next, verdict, told, best_keys, known))
     pictures = evidence(refit_rig, extended, runs[:1] if windows else runs, [(c.effect, c.at) for c in causes])
     report("done", 1.0)
     return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, _ranking(search, found_odds), pictures,
-                           constants, _notes(rig, search, left), time.perf_counter() - begun)
+                           constants, _notes(rig, search, left), time.perf_counter() - begun,
+                           choice.plan, choice.prediction,
+                           [row.equivalence.sentence for row in known] if causes else [])
 
 
 def _odds_unseen(search: Search, found: Odds) -> Odds:
@@ -123,7 +128,7 @@ def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice] | Non
 
 
 def _verdict(search: Search, found: Odds, best: frozenset, left: Remainder, over_refit: Gain, over_nominal: Gain,
-             ) -> Verdict:
+             known: Sequence[Standing]) -> Verdict:
     if not best:
         if not left.is_noise:
             return "unexplained"
@@ -140,11 +145,11 @@ def _verdict(search: Search, found: Odds, best: frozenset, left: Remainder, over
         if over_refit.explained_fraction is None or over_refit.explained_fraction < 0.3 or share is None:
             return "unexplained"
         return "partly_explained"
-    return "ambiguous" if first < SURE else "explained"
+    return "ambiguous" if known or first < SURE else "explained"
 
 
-def _wrong(runs: Sequence[Run], before: Sequence[Simulation]) -> list[Wrong]:
-    """What the nominal rig gets wrong, the largest first."""
+def _wrong(runs: Sequence[Run], before: Sequence[Simulation], noise: Sequence[float]) -> list[Wrong]:
+    """What the nominal rig gets wrong, the largest first; beside an nrmse stands the floor that noise alone sets."""
     found = []
     for run, simulation in zip(runs, before, strict=True):
         count = 100.0 / max(np.ptp(run.reference), 1.0)
@@ -162,7 +167,7 @@ def _wrong(runs: Sequence[Run], before: Sequence[Simulation]) -> list[Wrong]:
                 found.append((100.0 * abs(peak_m - peak_s) / max(peak_m, 1.0),
                               Wrong(run=run.name, channel="encoder", measure="peak_counts", simulated=peak_s,
                                     measured=peak_m)))
-        for channel in ("encoder", "accel"):
+        for channel, sigma in zip(("encoder", "accel"), noise, strict=True):
             m, s = getattr(run, channel), getattr(simulation, channel)
             if m is None or s is None:
                 continue
@@ -170,27 +175,29 @@ def _wrong(runs: Sequence[Run], before: Sequence[Simulation]) -> list[Wrong]:
             if misfit > 0.1:
                 worst = int(np.argmax(np.abs(m - s)))
                 found.append((misfit, Wrong(run=run.name, channel=channel, measure="nrmse", simulated=misfit,
-                                            measured=0.0, where=f"largest at t = {run.t[worst]:.3f} s")))
+                                            measured=floor(m, sigma), where=f"largest at t = {run.t[worst]:.3f} s")))
     return [wrong for _, wrong in sorted(found, key=lambda row: -row[0])]
 
 
 def _ranking(search: Search, found: Odds) -> list[RankedCause]:
     """Every cause that was fitted, by probability, then by how much it bought alone."""
-    nothing = search.fits[frozenset()].chi2
+    nothing = search.fits[frozenset()]
     temperature = search.temperature()
     rows: dict[tuple[str, str], RankedCause] = {}
     for keys, fitted in search.fits.items():
         if len(keys) == 1:
             key = next(iter(keys))
             values, _ = estimates(search, fitted)
-            rows[key] = RankedCause(key[0], key[1], found.causes.get(key, 0.0), (nothing - fitted.chi2) / temperature,
-                                    None, values.get(key, {}))
+            rows[key] = RankedCause(key[0], key[1], found.causes.get(key, 0.0),
+                                    (nothing.chi2 - fitted.chi2) / temperature,
+                                    unseen_gain(nothing, fitted, temperature), values.get(key, {}))
     for key, probability in found.causes.items():
         if key not in rows:
             smallest = min((f for k, f in search.fits.items() if key in k), key=lambda f: f.objective)
             values, _ = estimates(search, smallest)
-            rows[key] = RankedCause(key[0], key[1], probability, (nothing - smallest.chi2) / temperature, None,
-                                    values.get(key, {}), note=f"as part of {smallest.layout.hypothesis.label}")
+            rows[key] = RankedCause(key[0], key[1], probability, (nothing.chi2 - smallest.chi2) / temperature,
+                                    unseen_gain(nothing, smallest, temperature), values.get(key, {}),
+                                    note=f"as part of {smallest.layout.hypothesis.label}")
     return sorted(rows.values(), key=lambda r: (-r.probability, -r.delta_chi2))
 
 

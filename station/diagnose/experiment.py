@@ -1,79 +1,422 @@
-"""The next experiment: of the tests that the station can run, the one in which the leading rivals differ most.
+"""The next experiment: of the tests that the station can run, the one that is worth most, and what it should show.
 
-The two most probable sets of causes that differ in a cause are both simulated, as fitted, in every test of TESTS.
-Their distance is chi^2 = sum over channels and samples of (difference/sigma)^2, sigma from the noise at rest and
-rounding (Box and Hill 1967, with both predictions taken as sharp).
+Where causes are rivals, that is the test which tells them apart.  Hypothesis i predicts outputs y_i; its constants and
+sizes are uncertain, so that its prediction is Gaussian about y_i with covariance S_i = I + J_i C_i J_i', in units of
+the noise, C_i the posterior of its fit.  What the log odds of i against j are expected to gain by the mean is
+
+    D_ij = (y_i - y_j)' (S_i^-1 + S_j^-1)/2 (y_i - y_j)
+
+(Box and Hill 1967; Hunter and Reiner 1965 without the covariances): what a refit of the constants would absorb counts
+for nothing.  exp(-D/8) bounds the share of errors that two equally likely rivals would still leave, so a test's worth
+is the sum over pairs of p_i p_j (1 - exp(-D_ij/8)), over that of p_i p_j.
+
+Where nothing points anywhere yet, it is the test that makes the catalogue visible.  With G the Gram matrix of what the
+effects at plain sizes would change there, constants absorbed as above, and O what they would have changed in the runs
+so far, the worth is ln det(1 + (O + G)/k) - ln det(1 + O/k), k the chi^2 at which an effect shows (the D-optimal
+design): effects that look alike count but once.
+
+Of tests of nearly equal worth the shorter and gentler one is taken.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from station.control.references import reference_from_test
+from station.diagnose.candidates import candidates
 from station.diagnose.estimate import Fit
+from station.diagnose.noise import ACCEL_DEFAULT, QUANTISATION
 from station.diagnose.posterior import Odds
-from station.diagnose.result import NextExperiment, Verdict
+from station.diagnose.problem import ELEMENTS, LONGEST, LONGEST_GAP, TRUNCATION
+from station.diagnose.result import NextExperiment, Prediction, Verdict
 from station.diagnose.search import Search
-from station.model.simulate import build, simulate_model
-from station.runs.run import Run, RunMetadata
+from station.diagnose.trials import Trial, most, trials
+from station.model.effects import Effect, Stage, catalogue
+from station.model.simulate import Model, Simulation, build, simulate_model
+from station.rig import Rig
+from station.runs.run import Run
 
-P = {"kind": "p", "gain": 2.0}
-LEAD = {"kind": "lead", "gain": 20.0, "zero": 31.41592653589793, "pole": 125.66370614359172}
-OPEN = {"kind": "open"}
-TESTS: list[tuple[dict[str, Any], dict[str, Any]]] = [
-    *(({"kind": "step", "amplitude": float(a)}, c) for c in (P, LEAD) for a in (30, 100, 200)),
-    *(({"kind": "pulse", "amplitude": float(a)}, OPEN) for a in (20, 60, 150, 200)),
-    ({"kind": "triangle", "amplitude": 60.0}, P),
-    ({"kind": "multisine", "amplitude": 60.0, "duration": 6.0}, {"kind": "p", "gain": 1.0}),
-    ({"kind": "sweep", "amplitude": 40.0, "f0": 0.3, "f1": 20.0, "duration": 10.0}, {"kind": "p", "gain": 1.0}),
-]
-DECIDES = 25.0
-"""chi^2 from which on a test would tell two rivals apart."""
+Key = tuple[str, str]
+
+LEADING = 4
+"""Sets of causes that are weighed."""
+UNLIKELY = 0.01
+"""Of the best set's probability: below it a set is no rival."""
+SETTLED = 0.95
+"""Probability from which on the best set of causes has no rival worth a test."""
+DECIDES = 9.0
+"""D from which on a test is worth running: the odds are then expected to move by a factor of ninety."""
+SHOWS = 25.0
+"""chi^2 at which an effect shows."""
+AXES = 10
+"""Directions of the posterior, widest first, whose predictions are worked out."""
+STEP = 0.5
+"""Longest step along one, prior sigmas or logarithm."""
+TRAVEL = 0.5
+"""Of a turn: as far as a test may move the arm."""
+NUISANCES = (0.35, 0.5)
+"""Prior sigmas of a run's starting angle and accelerometer offset, counts."""
+SLACK = 0.1
+"""Share of the best worth that a shorter or gentler test may lack."""
+AGAIN = 0.5
+"""What the worth of a test is multiplied by that was run already."""
+REFINED = (0.7, 1.4)
+"""Amplitudes tried about the best test's, as factors."""
+BOLD = 6
+"""Draws from the rig's stated uncertainty on which the first test must behave."""
+SPAN = 10
+"""Rows either side over which the encoder's speed is taken."""
 
 
-def _as_run(search: Search, test: dict[str, Any], controller: dict[str, Any]) -> Run:
-    rig = search.problem.rig
-    limit = rig.amplifier.limit
-    reference = reference_from_test(test, rig.sample_rate)
-    if controller["kind"] == "open":
-        reference = np.clip(reference, -limit, limit)
-    zeros = np.zeros_like(reference)
-    return Run("planned", np.arange(len(reference)) * rig.period, reference, reference, zeros, zeros,
-               RunMetadata(controller=controller, test=test, command_row=-1))
+@dataclass(frozen=True)
+class Choice:
+    """What to do next, and what the rivals say will come of it."""
+
+    next: NextExperiment
+    """For the file: the test, or none and why no test would decide."""
+    prediction: Prediction | None
+    plan: NextExperiment
+    """The test that is worth most even so: the same, or where none decides, the one that shows most of what these
+    runs could not have shown."""
 
 
-def distance(search: Search, one: Fit, other: Fit, test: dict[str, Any], controller: dict[str, Any]) -> float:
-    """chi^2 between what two fitted hypotheses predict of a test."""
+@dataclass(frozen=True)
+class Belief:
+    """One hypothesis as its data leave it: ``model(x)`` builds its rig; the columns of ``axes`` (p, k) are one
+    posterior sigma along each direction that is open."""
+
+    words: str
+    x: np.ndarray
+    axes: np.ndarray
+    model: Callable[[np.ndarray], Model]
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What a hypothesis predicts of one trial, counts: ``mean`` (channels, n), ``spread`` (k, channels, n)."""
+
+    mean: np.ndarray
+    spread: np.ndarray
+    command: np.ndarray
+
+
+@dataclass(frozen=True)
+class Worth:
+    """A trial, judged."""
+
+    trial: Trial
+    value: float
+    cost: float
+    why: str
+    prediction: Prediction
+    decides: bool
+
+
+class Planner:
+    """The noise and the rig that trials are judged with."""
+
+    def __init__(self, rig: Rig, sigma: np.ndarray, pool: Executor, runs: Sequence[Run] = ()) -> None:
+        """``sigma``: standard deviation of encoder and accelerometer (counts), the latter left out without one."""
+        self.rig, self.sigma, self.pool, self.runs = rig, sigma, pool, list(runs)
+
+    @property
+    def channels(self) -> int:
+        """1 without an accelerometer, else 2."""
+        return len(self.sigma)
+
+    def outputs(self, found: Simulation) -> np.ndarray:
+        """(channels, n)."""
+        return np.stack([found.encoder, found.accel][: self.channels])
+
+    def forecasts(self, belief: Belief, runs: Sequence[Run]) -> list[Forecast]:
+        """What a hypothesis predicts of every run."""
+        shrink = np.minimum(1.0, STEP / np.maximum(np.max(np.abs(belief.axes), axis=0), 1e-12))
+        places = [belief.x, *(belief.x + (belief.axes * shrink).T)]
+
+        def simulated(x: np.ndarray) -> list[Simulation]:
+            model = belief.model(x)
+            return [simulate_model(model, run, rounding=False) for run in runs]
+
+        every = list(self.pool.map(simulated, places))
+        found = []
+        for r in range(len(runs)):
+            mean = self.outputs(every[0][r])
+            moved = [(self.outputs(other[r]) - mean) / s for other, s in zip(every[1:], shrink, strict=True)]
+            spread = np.array(moved).reshape(len(moved), *mean.shape)
+            found.append(Forecast(mean, spread, every[0][r].command))
+        return found
+
+    def scales(self, model: Model, run: Run, mean: np.ndarray) -> np.ndarray:
+        """Weight of every sample (channels, n): see ``problem`` for shares and for what rounding feeds back."""
+        padded = np.pad(mean[0], SPAN, mode="edge")
+        speed = np.abs(padded[2 * SPAN:] - padded[: -2 * SPAN]) / (2 * SPAN)
+        share = np.stack([np.clip(speed, 0.02, 1.0), np.ones_like(speed)])[: self.channels]
+        variance = self.sigma**2
+        if run.metadata.controller["kind"] != "open":
+            angle = 0.4 * self.rig.angle_per_count
+            jitter = []
+            for start in (-angle, angle):
+                both = [self.outputs(simulate_model(model, run, rounding=flag, start_angle=start))
+                        for flag in ("inside", False)]
+                jitter.append(both[0] - both[1])
+            scatter = jitter[0] - jitter[1]
+            variance = variance + 0.5 * np.array([np.mean(row**2) * _lasting(row) for row in scatter])
+        return np.sqrt(share / variance[:, None])
+
+    def behaves(self, trial: Trial, forecast: Forecast, turns: float = TRAVEL) -> bool:
+        """Whether a laboratory would run it: finite, within the travel, and a closed loop follows."""
+        if not (np.all(np.isfinite(forecast.mean)) and np.all(np.isfinite(forecast.spread))):
+            return False
+        angle = forecast.mean[0]
+        if np.max(np.abs(angle)) > turns * self.rig.encoder.counts_per_revolution:
+            return False
+        if trial.closed and np.max(np.abs(angle)) > 3.0 * trial.amplitude + 50.0:
+            return False
+        if trial.test["kind"] == "step":
+            end = angle[-round(0.3 * self.rig.sample_rate):]
+            return bool(np.ptp(end) < trial.amplitude / 3.0 + 4.0)
+        return True
+
+    def cost(self, run: Run, forecast: Forecast) -> float:
+        """Of a test: its length in units of 4 s, and how hard and how far it drives the rig."""
+        command = float(np.sqrt(np.mean(forecast.command**2))) / self.rig.amplifier.limit
+        return (run.t[-1] / 4.0 + command
+                + float(np.max(np.abs(forecast.mean[0]))) / self.rig.encoder.counts_per_revolution)
+
+    def nuisances(self, scale: np.ndarray) -> np.ndarray:
+        """Rows (channels, channels n) of what starting angle and offset may do, scaled."""
+        rows = np.zeros((self.channels, *scale.shape))
+        for c in range(self.channels):
+            rows[c, c] = NUISANCES[c] * scale[c]
+        return rows.reshape(self.channels, -1)
+
+    def scaled(self, forecast: Forecast, scale: np.ndarray) -> np.ndarray:
+        """Rows (k + channels, channels n): all that the hypothesis' own uncertainty may do."""
+        return np.concatenate([(forecast.spread * scale).reshape(len(forecast.spread), scale.size),
+                               self.nuisances(scale)])
+
+    def predicted(self, trial: Trial, run: Run, words: tuple[str, str], pair: tuple[np.ndarray, np.ndarray],
+                  ) -> Prediction:
+        """Two hypotheses on one trial, for drawing."""
+        accel = (pair[0][1], pair[1][1]) if self.channels == 2 else None
+        return Prediction(trial.complete(), run.t, run.reference, words, (pair[0][0], pair[1][0]), accel)
+
+    def best(self, judge: Callable[[list[Trial]], list[Worth]], start: list[Trial]) -> Worth | None:
+        """The best of the trials and of amplitudes about the best one's; of equals the shorter and gentler."""
+        judged = judge(start)
+        if not judged:
+            return None
+        leading = max(judged, key=lambda w: w.value).trial
+        finer = [leading.sized(factor, most(leading, self.rig)) for factor in REFINED]
+        judged += judge([trial for trial in finer if trial not in start])
+        top = max(w.value for w in judged)
+        return min((w for w in judged if w.value >= (1.0 - SLACK) * top), key=lambda w: w.cost)
+
+    def worth(self, trial: Trial, value: float) -> float:
+        """Less where it was run already."""
+        return AGAIN * value if trial.repeats(self.runs) else value
+
+
+def _lasting(values: np.ndarray, longest: int = 50) -> float:
+    """Integrated autocorrelation time, samples, at least 1, up to where the correlation first vanishes."""
+    centred = values - values.mean()
+    power = float(centred @ centred)
+    if power <= 0.0:
+        return 1.0
+    lags = range(1, min(longest, len(values) - 1))
+    rho = np.array([float(centred[lag:] @ centred[:-lag]) / power for lag in lags])
+    gone = np.flatnonzero(rho <= 0.0)
+    return 1.0 + 2.0 * float(np.sum(rho[: gone[0] if gone.size else None]))
+
+
+def absorbed(change: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """change (m, n), or one row, times S^-1 = (I + spread' spread)^-1, ``spread`` (k, n): what no refit takes up."""
+    inner = np.eye(len(spread)) + spread @ spread.T
+    return change - (np.linalg.solve(inner, spread @ change.T)).T @ spread
+
+
+def between(planner: Planner, beliefs: Sequence[Belief], odds: Sequence[float]) -> Callable[[list[Trial]],
+                                                                                            list[Worth]]:
+    """Judge trials by how they tell hypotheses apart; ``odds`` are the hypotheses' probabilities."""
+    pairs = [(i, j) for j in range(len(beliefs)) for i in range(j)]
+    weights = np.array([odds[i] * odds[j] for i, j in pairs])
+    weights = weights / weights.sum()
+
+    def judge(tried: list[Trial]) -> list[Worth]:
+        runs = [trial.as_run(planner.rig) for trial in tried]
+        every = [planner.forecasts(belief, runs) for belief in beliefs]
+        first = beliefs[0].model(beliefs[0].x)
+        found = []
+        for r, (trial, run) in enumerate(zip(tried, runs, strict=True)):
+            here = [forecasts[r] for forecasts in every]
+            if not all(planner.behaves(trial, forecast) for forecast in here):
+                continue
+            scale = planner.scales(first, run, here[0].mean)
+            spreads = [planner.scaled(forecast, scale) for forecast in here]
+            distances = []
+            for i, j in pairs:
+                apart = ((here[i].mean - here[j].mean) * scale).ravel()
+                distances.append(0.5 * float(apart @ (absorbed(apart, spreads[i]) + absorbed(apart, spreads[j]))))
+            resolved = 1.0 - np.exp(-np.maximum(distances, 0.0) / 8.0)
+            p = int(np.argmax(weights * resolved))
+            i, j = pairs[p]
+            why = (f"{beliefs[i].words} and {beliefs[j].words} differ here by chi^2 = {distances[p]:.0f} beyond what "
+                   "refitted constants could absorb")
+            found.append(Worth(trial, planner.worth(trial, float(weights @ resolved)), planner.cost(run, here[0]), why,
+                               planner.predicted(trial, run, (beliefs[i].words, beliefs[j].words),
+                                                 (here[i].mean, here[j].mean)),
+                               max(distances) >= DECIDES))
+        return found
+    return judge
+
+
+def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect, float]],
+            bold: Sequence[np.ndarray] = ()) -> Callable[[list[Trial]], list[Worth]]:
+    """Judge trials by how much of the catalogue they make visible.
+
+    ``effects``: words, the effect at a plain size, and the chi^2 that it would have shown with so far.  ``bold``:
+    further places of the base hypothesis on which a trial must behave.
+    """
+    old = np.array([seen for _, _, seen in effects]) / SHOWS
+
+    def judge(tried: list[Trial]) -> list[Worth]:
+        runs = [trial.as_run(planner.rig) for trial in tried]
+        here = planner.forecasts(base, runs)
+        first = base.model(base.x)
+
+        def simulated(effect: Effect) -> list[np.ndarray]:
+            model = _built(first.rig.with_effects((*first.rig.effects, effect)))
+            return [planner.outputs(simulate_model(model, run, rounding=False)) for run in runs]
+
+        changed = list(planner.pool.map(simulated, [effect for _, effect, _ in effects]))
+        daring = [planner.forecasts(Belief("", x, np.zeros((len(x), 0)), base.model), runs) for x in bold]
+        found = []
+        for r, (trial, run) in enumerate(zip(tried, runs, strict=True)):
+            if not planner.behaves(trial, here[r]):
+                continue
+            if not all(planner.behaves(trial, forecasts[r], 2.0 * TRAVEL) for forecasts in daring):
+                continue
+            scale = planner.scales(first, run, here[r].mean)
+            spread = planner.scaled(here[r], scale)
+            change = np.stack([((outputs[r] - here[r].mean) * scale).ravel() for outputs in changed])
+            change[~np.all(np.isfinite(change), axis=1)] = 0.0
+            gram = absorbed(change, spread) @ change.T / SHOWS
+            value = np.linalg.slogdet(np.diag(1.0 + old) + gram)[1] - np.sum(np.log1p(old))
+            newly = np.diag(gram) + old
+            shown = int(np.sum((newly >= 1.0) & (old < 1.0)))
+            e = int(np.argmax(np.log1p(newly) - np.log1p(old)))
+            why = (f"{int(np.sum(np.diag(gram) >= 1.0))} of {len(effects)} effects of a plain size would show here"
+                   + (f", {shown} of them for the first time" if np.any(old > 0.0) and shown else "")
+                   + f"; {effects[e][0]} gains most")
+            found.append(Worth(trial, planner.worth(trial, float(value)), planner.cost(run, here[r]), why,
+                               planner.predicted(trial, run, (base.words, f"with {effects[e][0]}"),
+                                                 (here[r].mean, changed[e][r])), True))
+        return found
+    return judge
+
+
+def _built(rig: Rig) -> Model:
+    gap = any(effect.stage is Stage.GAP for effect in rig.effects)
+    return build(rig, TRUNCATION, LONGEST_GAP if gap else LONGEST)
+
+
+def belief(search: Search, found: Fit) -> Belief:
+    """A fitted hypothesis as its data leave it."""
+    problem, layout = search.problem, found.layout
+    values, vectors = np.linalg.eigh(found.covariance(search.temperature()))
+    widest = np.argsort(-values)[:AXES]
+    axes = vectors[:, widest] * np.sqrt(np.maximum(values[widest], 0.0))
+    return Belief(_words(frozenset(layout.hypothesis.causes())), found.x, axes, lambda x: problem.model(layout, x))
+
+
+def _plain(rig: Rig, held: frozenset[Key], seen: Callable[[Key, dict[str, float]], float],
+           ) -> list[tuple[str, Effect, float]]:
+    """Every effect that could join a rig, at the middle of its usual sizes."""
+    found = []
+    for candidate in candidates(rig):
+        if candidate.effect is None or candidate.key in held or candidate.effect.stage is Stage.CLOCK:
+            continue
+        guess = candidate.guesses[(len(candidate.guesses) - 1) // 2]
+        effect = candidate.effect.model_construct(at=candidate.at, **guess)
+        found.append((_words(frozenset([candidate.key])), effect, seen(candidate.key, guess)))
+    return found
+
+
+def _sigma(search: Search) -> np.ndarray:
+    """Noise of a planned run; where a model misses something, the size of that, spread over its samples."""
     problem = search.problem
-    run = _as_run(search, test, controller)
-    pair = [simulate_model(build(problem.rig_of(f.layout, f.x)), run, rounding=False) for f in (one, other)]
-    total = float(np.sum((pair[0].encoder - pair[1].encoder) ** 2)) / problem.sigma[0] ** 2
-    if problem.has_accel and pair[0].accel is not None and pair[1].accel is not None:
-        total += float(np.sum((pair[0].accel - pair[1].accel) ** 2)) / problem.sigma[1] ** 2
-    return total if np.isfinite(total) else 0.0
+    temper = np.mean(problem.temper, axis=0) * search.temperature()
+    return problem.sigma[: problem.channels] * np.sqrt(temper)
 
 
-def next_experiment(search: Search, odds: Odds, verdict: Verdict) -> NextExperiment | None:
-    """What to do next; None where nothing is open."""
-    if verdict in ("explained", "nothing_missing"):
-        return None
-    if verdict == "not_enough_data":
-        return NextExperiment(test={"kind": "step", "amplitude": 100.0, "controller": "p"},
-                              why="these runs hardly move the rig: a plain cause would not have shown in them")
-    best = odds.sets[0][0]
-    rivals = [keys for keys, _ in odds.sets[1:] if keys != best] or [frozenset()]
-    rival = rivals[0]
-    names = " and ".join(_words(keys) for keys in (best, rival))
-    reach = [(distance(search, search.fits[best], search.fits[rival], *pair), pair) for pair in TESTS]
-    chi2, (test, controller) = max(reach, key=lambda row: row[0])
-    if chi2 < DECIDES:
-        return NextExperiment(test=None, why=f"{names} predict the same in every test that this station can run "
-                                             f"(largest distance chi^2 = {chi2:.1f})")
-    return NextExperiment(test={**test, "controller": controller},
-                          why=f"{names} differ most here: chi^2 = {chi2:.0f} expected")
+def choose(search: Search, odds: Odds, verdict: Verdict) -> Choice:
+    """What to do next, by sets of causes that were fitted."""
+    problem = search.problem
+    runs = list({id(run.t): run for run in problem.runs}.values())
+    planner = Planner(problem.rig, _sigma(search), problem.pool, runs)
+    fitted = [(keys, p) for keys, p in odds.sets if keys in search.fits]
+    best, top = fitted[0]
+    rivals = [(keys, p) for keys, p in fitted[:LEADING] if p >= UNLIKELY * top]
+    contested = top < SETTLED and len(rivals) > 1 and verdict not in ("not_enough_data", "unexplained")
+    undecidable = None
+    if contested:
+        causes = sorted({key for keys, _ in rivals for key in keys})
+        beliefs = [belief(search, search.fits[keys]) for keys, _ in rivals]
+        found = planner.best(between(planner, beliefs, [p for _, p in rivals]), trials(problem.rig, causes))
+        if found is not None and found.decides:
+            return _choice(replace(found, why=found.why + _telling(best)))
+        if verdict == "ambiguous":
+            undecidable = (f"{beliefs[0].words} and {beliefs[1].words} predict the same, within what refitted "
+                           "constants absorb, in every test that this station can run")
+    known = {(p.candidate.key, tuple(sorted(p.guess.items()))): max(p.information, 0.0) for p in search.promises}
+    effects = _plain(problem.rig, best, lambda key, guess: known.get((key, tuple(sorted(guess.items()))), 0.0))
+    plan = _choice(planner.best(showing(planner, belief(search, search.fits[best]), effects), trials(problem.rig)))
+    if undecidable is not None:
+        return Choice(NextExperiment(test=None, why=undecidable), None, plan.next)
+    return plan
 
 
-def _words(keys: frozenset[tuple[str, str]]) -> str:
+def first_test(rig: Rig) -> Choice:
+    """The first test of a rig that nothing is known of but its file: the one that makes most of the catalogue visible
+    and behaves wherever the stated uncertainty may put the rig."""
+    if rig.beam is not None and rig.beam.elements < ELEMENTS:
+        rig = rig.model_copy(update={"beam": rig.beam.model_copy(update={"elements": ELEMENTS})})
+    paths = list(rig.constants())
+    nominal = np.array([rig.constants()[path] for path in paths])
+    root = np.linalg.cholesky(rig.log_covariance(paths))
+
+    def model(x: np.ndarray) -> Model:
+        return _built(rig.with_constants(dict(zip(paths, nominal * np.exp(root @ x), strict=True))))
+
+    accel = [np.hypot(ACCEL_DEFAULT, np.sqrt(QUANTISATION))] if rig.accelerometer is not None else []
+    base = Belief("the rig as its file says", np.zeros(len(paths)), np.eye(len(paths)), model)
+    bold = np.random.default_rng(0).normal(size=(BOLD, len(paths)))
+    with ThreadPoolExecutor(2) as pool:
+        planner = Planner(rig, np.array([np.sqrt(QUANTISATION), *accel]), pool)
+        judge = showing(planner, base, _plain(rig, frozenset(), lambda key, guess: 0.0), bold)
+        found = planner.best(judge, trials(rig)) or planner.best(
+            showing(planner, base, _plain(rig, frozenset(), lambda key, guess: 0.0)), trials(rig))
+    return _choice(found)
+
+
+def _choice(found: Worth | None) -> Choice:
+    if found is None:
+        none = NextExperiment(test=None, why="no test of this station keeps this rig within half a turn")
+        return Choice(none, None, none)
+    asked = NextExperiment(test=found.trial.complete(), why=found.why)
+    return Choice(asked, found.prediction, asked)
+
+
+def _telling(keys: frozenset[Key]) -> str:
+    """What to look for in a test that tells effects from their rivals, in the effects' own words."""
+    known = catalogue()
+    words = [f"{known[name].title}: {known[name].telling}" for name, _ in sorted(keys)
+             if name in known and known[name].telling]
+    return f" ({'. '.join(words)})" if words else ""
+
+
+def _words(keys: frozenset[Key]) -> str:
     return " + ".join(sorted(f"{name} at {at}" if at else name for name, at in keys)) or "no cause"

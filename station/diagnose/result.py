@@ -118,6 +118,7 @@ class RankedCause:
     probability: float
     delta_chi2: float
     held_out_gain: float | None
+    """Share of the re-fitted rig's error on unseen runs that it takes away, to first order."""
     parameters: dict[str, Estimate]
     note: str = ""
 
@@ -138,6 +139,18 @@ class Evidence:
 
 
 @dataclass(frozen=True)
+class Prediction:
+    """What two hypotheses predict of a test that has not been run, counts, from encoder count 0."""
+
+    test: dict[str, Any]
+    t: np.ndarray
+    reference: np.ndarray
+    names: tuple[str, str]
+    encoder: tuple[np.ndarray, np.ndarray]
+    accel: tuple[np.ndarray, np.ndarray] | None
+
+
+@dataclass(frozen=True)
 class DiagnosisResult:
     """A diagnosis with all that a report needs."""
 
@@ -151,3 +164,9 @@ class DiagnosisResult:
     constants: dict[str, Estimate] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     seconds: float = 0.0
+    plan: NextExperiment | None = None
+    """The best further test, also where the verdict asks for none or none would decide."""
+    prediction: Prediction | None = None
+    """What the leading rivals say of it."""
+    equivalences: list[str] = field(default_factory=list)
+    """What is known to be the same as the causes named, in sentences."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from station.diagnose.equivalences import powers
 from station.fit.problem import Problem
 from station.fit.result import FitResult, FittedConstant, FlatDirection
 
@@ -89,23 +90,13 @@ def covariance(problem: Problem, x: np.ndarray, residuals: np.ndarray,
 
 
 def common_factor(paths: list[str]) -> dict[str, float]:
-    """Powers of the factor that no reading shows: torques, inertias, dampings and stiffnesses scaled together.
-
-    beam.damping is a time and beam.length a length, so they stay out, as does the accelerometer's gain.
-    """
-    tables, beam = ("motor", "drive", "base", "clamp", "tip"), ("beam.mass_per_length", "beam.flexural_rigidity")
-    return {path: 1.0 for path in paths if path in beam or path.split(".")[0] in tables}
+    """Powers of the factor that no reading shows: torques, inertias, dampings and stiffnesses scaled together."""
+    return {path: power for path, power in zip(paths, powers(paths, 0), strict=True) if power}
 
 
 def length_scale(paths: list[str]) -> dict[str, float]:
-    """Powers of a factor on the beam's length that no reading shows.
-
-    Deflections grow with the length while rotations stay, so energies stay if mass per length falls with its cube, the
-    tip's mass with its square and the flexural rigidity grows with it; the accelerometer's gain takes the rest.
-    """
-    powers = {"beam.length": 1.0, "beam.mass_per_length": -3.0, "beam.flexural_rigidity": 1.0, "tip.mass": -2.0,
-              "accelerometer.gain": -1.0}
-    return {path: powers[path] for path in paths if path in powers}
+    """Powers of a factor on the beam's length that no reading shows; see ``diagnose.equivalences`` for both."""
+    return {path: power for path, power in zip(paths, powers(paths, 1), strict=True) if power}
 
 
 def invisible(paths: list[str], constants: list[str]) -> list[np.ndarray]:

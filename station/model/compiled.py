@@ -32,7 +32,10 @@ if "NUMBA_CACHE_DIR" not in os.environ and not _writable(Path(__file__).parent /
 from llvmlite import ir  # noqa: E402  (Numba reads its cache folder when it is imported)
 from numba import cfunc, njit, types  # noqa: E402
 from numba.core import cgutils  # noqa: E402
+from numba.core.errors import NumbaError  # noqa: E402
 from numba.extending import intrinsic  # noqa: E402
+
+from station.errors import UsageError  # noqa: E402
 
 __all__ = ["address", "call_law", "element", "njit"]
 
@@ -42,10 +45,18 @@ _compiled: dict[Callable[..., float], Any] = {}
 
 
 def address(law: Callable[..., float]) -> int:
-    """Machine address of a law, compiled on first use and kept alive (and cached on disk where it has a file)."""
+    """Machine address of a law, compiled on first use and kept alive (and cached on disk where it has a file).
+
+    UsageError: a law that Numba cannot compile.
+    """
     if law not in _compiled:
         on_disk = law.__code__.co_filename.endswith(".py") and Path(law.__code__.co_filename).exists()
-        _compiled[law] = cfunc(LAW, cache=on_disk, error_model="numpy")(law)
+        try:
+            _compiled[law] = cfunc(LAW, cache=on_disk, error_model="numpy")(law)
+        except NumbaError as error:
+            where = f"{law.__code__.co_filename}, line {law.__code__.co_firstlineno}"
+            reason = next((line.strip() for line in str(error).splitlines()[1:] if line.strip()), str(error))
+            raise UsageError(f"effects: the law {law.__name__} ({where}) does not compile: {reason}") from None
     return _compiled[law].address
 
 

@@ -51,10 +51,12 @@ def measured_response(run: Run, resolution: float = 0.25) -> FrequencyResponse:
         _, coherence = scipy.signal.coherence(run.command, reading, **welch)
         return cross[1:] / power[1:], coherence[1:]
 
+    if np.ptp(run.encoder) == 0.0:
+        raise WorkError(f"{run.name}: the encoder never moves, so that there is no frequency response")
     frequency, power = scipy.signal.welch(run.command, **welch)
     encoder, encoder_coherence = estimate(run.encoder)
     accel = accel_coherence = None
-    if run.accel is not None:
+    if run.accel is not None and np.ptp(run.accel) > 0.0:   # a device without the sensor logs zeros
         accel, accel_coherence = estimate(run.accel)
     return FrequencyResponse(frequency[1:], encoder, accel, encoder_coherence, accel_coherence)
 

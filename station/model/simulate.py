@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from station.control.compensators import Compensator
+from station.errors import WorkError
 from station.model import stepper
 from station.model.assembly import Assembly, assemble, torque_input
 from station.model.compiled import address
@@ -84,7 +85,8 @@ def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP) ->
     h = period / substeps
     ports = _ports(rig, laws)
     inputs, rotations = _port_vectors(parts, ports)
-    form, dropped = _truncate(rig, parts, whole, inputs, period, truncation)
+    fed_back = [vector for port, vector in zip(ports, rotations, strict=True) if port == "clamp"]
+    form, dropped = _truncate(rig, parts, whole, inputs, fed_back, period, truncation)
     n = parts.size
     row = {"angle": form.basis[parts.base], "speed": form.basis[n + parts.base]}
     held, exponential = form.integral(h), form.exponential(h)
@@ -113,7 +115,7 @@ def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP) ->
         port_angle @ port_held.T, port_speed @ port_held.T,
         np.array([0.0 if j is None else j.stiffness for j in joints]),
         np.array([0.0 if j is None else j.damping for j in joints]),
-        ports.index("drive") if any(e.name == "load_friction" for e in laws) else -1,
+        ports.index("drive") if any(e.stage is Stage.FRICTION and e.at == "drive" for e in laws) else -1,
         slots, first, arguments, rig.amplifier.limit, rig.beam.length if rig.beam else 0.0,
         1.0 / rig.angle_per_count, gain, late[Stage.ENCODER_DELAY] / h, late[Stage.ACCEL_DELAY] / h)
     filters = int(first[stepper.ACCEL_FILTER + 1] - first[stepper.ACCEL_FILTER])
@@ -155,19 +157,21 @@ def _port_vectors(parts: Assembly, ports: list[str]) -> tuple[list[np.ndarray], 
     return picked, picked
 
 
-def _truncate(rig: Rig, parts: Assembly, form: ModalForm, inputs: list[np.ndarray], period: float,
-              allowed: float) -> tuple[ModalForm, float]:
+def _truncate(rig: Rig, parts: Assembly, form: ModalForm, inputs: list[np.ndarray], fed_back: list[np.ndarray],
+              period: float, allowed: float) -> tuple[ModalForm, float]:
     """Leave out the modes that cannot matter.
 
     A block with outputs c and sampled response g to one count adds at most limit sum_k |c e^(A k T) g| to an output,
     which |c| |g| / (1 - |e^(lambda T)|) bounds; a port's torque counts as PORT_SHARE of the motor's largest.
+    ``fed_back``: rotations of a stiff joint at the beam's root; an effect acts on them and every mode of the beam
+    yields there, so they count as outputs, in encoder counts.
     """
     n, blocks = parts.size, form.blocks
     largest = [rig.motor.gain * torque_input(parts, parts.unit(parts.motor))]
     largest += [PORT_SHARE * rig.motor.gain * torque_input(parts, vector) for vector in inputs]
     held, rate = form.integral(period), form.function(lambda z: z, 1.0)
     size = np.zeros(blocks)
-    outputs = [(form.basis[parts.base] / rig.angle_per_count, None)]
+    outputs = [(row @ form.basis[:n] / rig.angle_per_count, None) for row in (parts.unit(parts.base), *fed_back)]
     if parts.tip is not None and rig.accelerometer is not None:
         tip = form.basis[n + parts.tip] * rig.accelerometer.gain
         outputs.append((_row(tip, rate), tip))
@@ -273,12 +277,15 @@ def simulate_model(model: Model, run: Run, *, rounding: bool | Literal["inside"]
                    states: bool = False) -> Simulation:
     """As ``simulate``, with a rig that has been built.
 
-    ``rounding`` "inside" rounds what the compensator sees and sends, but returns what was rounded.
+    ``rounding`` "inside" rounds what the compensator sees and sends, but returns what was rounded.  WorkError: the
+    run's controller reads a sensor that the rig has not.
     """
     inside = stepper.INSIDE if rounding == "inside" else (stepper.ALL if rounding else stepper.NONE)
     meta, rig = run.metadata, model.rig
     state = initial_state(model, start_angle, zero, equilibrium=meta.start == "equilibrium", gap_place=gap_place)
     controller = controller_arrays(meta.controller, rig, meta.accel_zero)
+    if rig.accelerometer is None and controller.accel_numerator.any():
+        raise WorkError(f"{run.name}: its controller reads an accelerometer, and rig {rig.name} has none")
     rows = len(run.t)
     reference = np.ascontiguousarray(run.reference, dtype=float)
     closed = not controller.open_loop

@@ -12,7 +12,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from station.diagnose.result import DiagnosisResult, Evidence, RunComparison
+from station.diagnose.result import DiagnosisResult, Evidence, Prediction, RunComparison
 from station.model.simulate import Simulation
 from station.view import remaining
 from station.view.labels import place_labels
@@ -62,7 +62,7 @@ def hero(comparison: RunComparison, channel: str) -> go.Figure:
 
     The reference joins them where the loop is closed and it rests at few levels, as in a step.
     """
-    figure = _empty()
+    figure = empty()
     run = comparison.run
     lines = {"measured": getattr(run, channel)}
     lines |= {role: getattr(s, channel) for role, s in simulations(comparison).items()}
@@ -105,7 +105,7 @@ def run_figure(comparison: RunComparison) -> go.Figure:
 
 def evidence_figure(evidence: Evidence) -> go.Figure:
     """The picture specific to a cause: the points, their median where they are many, and the fitted law."""
-    figure = _empty(hovermode="closest")
+    figure = empty(hovermode="closest")
     x, y = np.asarray(evidence.x, float), np.asarray(evidence.y, float)
     if evidence.kind in _LINE_KINDS:
         figure.add_trace(_line(x, y, "measured", "measured", "solid", 1.6))
@@ -133,6 +133,25 @@ def evidence_figure(evidence: Evidence) -> go.Figure:
         _log_x(figure, x)
     if evidence.kind == "spectrum" and len(y) and y.min() > 0.0:
         figure.update_yaxes(type="log")
+    return figure
+
+
+def prediction_figure(prediction: Prediction) -> go.Figure:
+    """What two rivals predict of a test that has not been run: each channel, and under it how far they differ."""
+    pairs = {"encoder": prediction.encoder} | ({"accel": prediction.accel} if prediction.accel is not None else {})
+    titles = [title for c in pairs for title in (f"{CHANNELS[c]}, {_UNITS[c]}", f"{CHANNELS[c]}: difference")]
+    figure = make_subplots(rows=len(titles), cols=1, shared_xaxes=True, vertical_spacing=0.22 / len(titles),
+                           subplot_titles=titles)
+    _plain(figure)
+    looks = (("after", "solid", 2.4), ("before", "dash", 2.0))
+    for index, pair in enumerate(pairs.values()):
+        for name, (role, dash, width), values in zip(prediction.names, looks, pair, strict=True):
+            figure.add_trace(_line(prediction.t, values, role, escape(name), dash, width, legend=index == 0),
+                             row=2 * index + 1, col=1)
+        figure.add_trace(_line(prediction.t, pair[0] - pair[1], "law", "difference", "solid", 1.2, legend=False),
+                         row=2 * index + 2, col=1)
+    figure.update_xaxes(range=[float(prediction.t[0]), float(prediction.t[-1])])
+    figure.update_xaxes(title_text="time (s)", row=len(titles), col=1)
     return figure
 
 
@@ -267,7 +286,8 @@ def _floats(values: np.ndarray) -> np.ndarray:
     return np.asarray(values, dtype=np.float32)
 
 
-def _empty(hovermode: str = "x unified") -> go.Figure:
+def empty(hovermode: str = "x unified") -> go.Figure:
+    """A figure as the pages want it, with nothing in it."""
     return _plain(go.Figure(), hovermode, top=30)
 
 

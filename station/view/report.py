@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 import difflib
-import json
 import math
 import platform
 from dataclasses import dataclass
-from functools import cache
-from importlib import metadata, resources
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import plotly.graph_objects as go
-from plotly.offline import get_plotlyjs
-from plotly.utils import PlotlyJSONEncoder
 
 import station
 from station.diagnose.result import DiagnosisResult, Estimate, RunComparison
-from station.errors import WorkError
 from station.view import figures, remaining, wording
+from station.view.html import render, script_json, write_page
 
 MAX_RANKED = 12
 """Rivals shown in the ranking; the rest are counted."""
@@ -29,29 +24,12 @@ _LIBRARIES = ("numpy", "scipy", "numba", "control", "plotly")
 
 def write_report(result: DiagnosisResult, path: str | Path) -> None:
     """Write the report of a diagnosis to ``path``; WorkError where the file cannot be written."""
-    try:
-        Path(path).write_text(report_html(result), encoding="utf-8")
-    except OSError as error:
-        raise WorkError(f"{path}: cannot be written: {error.strerror or error}") from None
+    write_page(path, report_html(result))
 
 
 def report_html(result: DiagnosisResult) -> str:
     """The report's HTML, Plotly's script included; all text that comes from files is escaped."""
-    page = _Page(result)
-    return _environment().get_template("report.html.j2").render(page=page, words=wording, plotly=get_plotlyjs(),
-                                                                css=_asset("report.css"), js=_asset("report.js"))
-
-
-@cache
-def _environment() -> jinja2.Environment:
-    environment = jinja2.Environment(loader=jinja2.FunctionLoader(_asset), autoescape=True, trim_blocks=True,
-                                     lstrip_blocks=True, undefined=jinja2.StrictUndefined)
-    environment.filters["capitalize_first"] = lambda text: text[:1].upper() + text[1:]
-    return environment
-
-
-def _asset(name: str) -> str:
-    return (resources.files("station.view") / "page" / name).read_text(encoding="utf-8")
+    return render("report.html.j2", page=_Page(result))
 
 
 @dataclass(frozen=True)
@@ -115,13 +93,17 @@ class _Page:
             self._add("spectrum", figures.spectrum_figure(result.comparisons))
             self._add("whiteness", figures.whiteness_figure(result.comparisons))
 
+        asked = self.diagnosis.next_experiment
+        if result.prediction is not None and asked is not None and asked.test is not None:
+            self._add("next", figures.prediction_figure(result.prediction))
+
     def _add(self, name: str, figure: go.Figure) -> None:
         self.figures[name] = figure
 
     @property
     def figures_json(self) -> str:
         """The figures for the script element: JSON without a character that could end it."""
-        return _script_json({name: figure.to_plotly_json() for name, figure in self.figures.items()})
+        return script_json({name: figure.to_plotly_json() for name, figure in self.figures.items()})
 
     @property
     def diagnosis_json(self) -> str:
@@ -140,6 +122,11 @@ class _Page:
     def open(self) -> bool:
         """Whether the runs leave open which cause it is."""
         return self.diagnosis.verdict == "ambiguous"
+
+    @property
+    def next_rows(self) -> int:
+        """Panels of the figure of the next experiment: each channel and its difference."""
+        return 2 if self.result.prediction is None or self.result.prediction.accel is None else 4
 
     @property
     def has_after(self) -> bool:
@@ -236,10 +223,3 @@ class _Page:
         return {"test": wording.test_words(facts.test), "controller": wording.test_words(facts.controller),
                 "samples": f"{len(run.t)} at {run.sample_rate:.0f} Hz", "start": facts.start,
                 "use": "held out" if comparison.held_out else "used in the fit"}
-
-
-def _script_json(value: Any) -> str:
-    text = json.dumps(value, cls=PlotlyJSONEncoder, separators=(",", ":"))
-    for character in "<>&\u2028\u2029":
-        text = text.replace(character, f"\\u{ord(character):04x}")
-    return text

@@ -17,8 +17,11 @@ RANKED = 6
 """Candidates shown."""
 
 
-def print_diagnosis(result: DiagnosisResult, console: Console) -> None:
-    """Verdict, what is wrong, causes, rivals and why they lost, gain and next experiment."""
+def print_diagnosis(result: DiagnosisResult, console: Console, rig: str = "RIG") -> None:
+    """Verdict, what is wrong, causes, rivals and why they lost, gain and next experiment.
+
+    ``rig``: how the rig was named on the command line, for the next one.
+    """
     found = result.diagnosis
     console.print(_plain(wording.verdict_sentence(found, result.rig)), style="bold")
     if found.wrong:
@@ -28,6 +31,8 @@ def print_diagnosis(result: DiagnosisResult, console: Console) -> None:
         rows = [(wording.cause_title(c.effect, c.at), wording.probability(c.probability), name.replace("_", " "),
                  wording.interval(e)) for c in found.causes for name, e in c.parameters.items()]
         console.print(_table("Causes", ["cause", "probability", "parameter", "value (95 % interval)"], rows))
+    for sentence in result.equivalences:
+        console.print(_plain(f"{sentence} No test can tell the two apart."))
     if result.ranking:
         named = {(c.effect, c.at) for c in found.causes}
         console.print(_table("Candidates", ["candidate", "probability", "Δχ²", "gain", "why it stands here"], [
@@ -40,9 +45,8 @@ def print_diagnosis(result: DiagnosisResult, console: Console) -> None:
         console.print(f"{wording.explained(found.gain.explained_fraction)} of the error above the noise is gone on "
                       "runs that no fit has seen.")
     if found.next_experiment is not None:
-        test = found.next_experiment.test
-        words = f"{wording.test_words(test)}. " if test else ""
-        console.print(_plain(f"Next: {words}{found.next_experiment.why}"))
+        for line in f"Next: {wording.next_test(found.next_experiment, rig=rig)}".splitlines():
+            console.print(_plain(line), soft_wrap=True)
 
 
 def print_comparison(comparisons: Sequence[RunComparison], console: Console) -> None:

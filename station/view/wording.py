@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from station.control.named import named_controller
+from station.control.references import KINDS, defaults
 from station.model.effects import catalogue
 
 if TYPE_CHECKING:
-    from station.diagnose.result import Cause, ChannelGain, Diagnosis, Estimate, RankedCause, Rival, Wrong
+    from station.diagnose.result import (
+        Cause,
+        ChannelGain,
+        Diagnosis,
+        Estimate,
+        NextExperiment,
+        RankedCause,
+        Rival,
+        Wrong,
+    )
     from station.rig import Rig
 
 VERDICTS = {"explained": "explained", "partly_explained": "partly explained", "unexplained": "unexplained",
@@ -115,8 +127,9 @@ def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
                 "partly_explained": "it comes closer, but more remains"}
         return f"The simulation {_accusation(causes, rig)}; with that put right, {ends[diagnosis.verdict]}."
     if diagnosis.verdict == "ambiguous" and causes:
-        rivals = [*causes[:1], *causes[0].rivals[:2]]
-        certain = f" besides {titles(causes[1:])}" if len(causes) > 1 else ""
+        first = next((c for c in causes if c.rivals), causes[0])
+        rivals, others = [first, *first.rivals[:2]], [c for c in causes if c is not first]
+        certain = f" besides {titles(others)}" if others else ""
         if len(rivals) == 1:
             return f"The simulation gets something wrong{certain}; {titles(rivals)} would explain it, " \
                    "but these runs cannot settle it."
@@ -156,7 +169,9 @@ def measure(item: Wrong) -> tuple[str, str, str]:
         if value is None:
             return "never" if item.measure == "settling_time" else "–"
         return f"{number(factor * value)}{unit}"
-    measured = "–" if item.measure == "nrmse" else shown(item.measured)
+    measured = shown(item.measured)
+    if item.measure == "nrmse" and item.measured is not None:
+        measured = f"{percent(item.measured)} by noise alone"
     return f"{CHANNELS[item.channel]} {words}", shown(item.simulated), measured
 
 
@@ -166,6 +181,38 @@ def test_words(test: dict[str, Any] | None) -> str:
         return "not stated"
     rest = [f"{key.replace('_', ' ')} {value}" for key, value in test.items() if key != "kind"]
     return ", ".join([str(test.get("kind", "test")), *rest])
+
+
+def run_command(test: dict[str, Any], port: str = "PORT", rig: str = "RIG") -> str:
+    """The command line that runs a test, as one types it; the test in words where the station has no such kind."""
+    kind = str(test.get("kind"))
+    if kind not in KINDS:
+        return test_words(test)
+    usual, spec = defaults(kind), test.get("controller")
+    words = ["station", "run", kind.replace("_", "-"), "--port", port, "--rig", rig]
+    name = kind
+    if isinstance(spec, dict):
+        known = named_controller(spec)
+        name = f"{kind}-{known[0] if known else 'own'}"
+        words += ["--controller", known[0] if known else "CONTROLLER.toml"]
+        words += [word for key, value in (known[1] if known else {}).items() for word in (f"--{key}", f"{value:.12g}")]
+    for key, value in test.items():
+        if key in usual and (key in ("amplitude", "duration") or value != usual[key]):
+            words += [f"--{key}", f"{value:.12g}" if isinstance(value, int | float) else str(value)]
+    size = test.get("amplitude")
+    name += f"-{abs(size):g}" if isinstance(size, int | float) else ""
+    return shlex.join([*words, "--out", f"{name}.mcap"])
+
+
+def next_test(asked: NextExperiment, port: str = "PORT", rig: str = "RIG") -> str:
+    """The next experiment as a sentence: the command to type, and why."""
+    words = f"{run_command(asked.test, port, rig)}\n" if asked.test else ""
+    return f"{words}{sentence(asked.why)}"
+
+
+def sentence(text: str) -> str:
+    """A clause with a capital and a full stop."""
+    return f"{text[:1].upper()}{text[1:].rstrip('.')}."
 
 
 def explained(fraction: float) -> str:

@@ -8,8 +8,10 @@ import json
 import numpy as np
 import pytest
 
-from station.cli.demo import APART, MARK, TESTS, _planned, told
-from station.cli.hidden import CLEAR, LEFT_OUT, Sealed, _outputs, draw, severity
+from station.campaign.hidden import CLEAR, LEFT_OUT, _outputs, draw, severity
+from station.campaign.simulated import planned
+from station.cli.demo import APART, MARK, TESTS, told
+from station.cli.sealed import Sealed
 from station.diagnose.result import Cause, Diagnosis, DiagnosisResult, Estimate, Gain, Rival
 from station.model.effects import catalogue, effect_class
 from station.rig import load_rig
@@ -76,7 +78,7 @@ def test_the_demo_keeps_a_folder_that_it_did_not_make(station, tmp_path):
 
 @pytest.mark.parametrize("seed", [1])
 def test_what_is_hidden_can_be_repeated_and_shows(seed):
-    tests = _planned(SFLR)
+    tests = planned(SFLR)
     hidden = draw(SFLR, tests, 0.5, np.random.default_rng(seed))
     assert hidden == draw(SFLR, tests, 0.5, np.random.default_rng(seed))
     assert len(hidden.effects) == 1 and hidden.effects[0].name in set(catalogue()) - LEFT_OUT
@@ -87,7 +89,7 @@ def test_what_is_hidden_can_be_repeated_and_shows(seed):
 
 def test_severity_tells_an_effect_from_other_constants():
     """A rig that only has other constants leaves nothing; an effect that no constant imitates leaves much."""
-    tests = _planned(SFLR)[:3]
+    tests = planned(SFLR)[:3]
     off = SFLR.with_constants({"beam.length": SFLR.beam.length * 1.03, "drive.stiffness": 0.09})
     assert severity(SFLR, off, _outputs(off, tests), tests, 0.5) < 1.0
     moved = severity(SFLR, SFLR, _outputs(off, tests), tests, 0.5)

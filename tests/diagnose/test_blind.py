@@ -16,7 +16,8 @@ import sys
 
 import pytest
 
-from tests.diagnose.blind import Task, judge_all, table
+from station.campaign.outcome import Task
+from tests.diagnose.blind import blind_task, judge_all, table
 
 CLEAN = 3
 FIRST_SEED = 900
@@ -28,8 +29,8 @@ WANTED = 0.9
 
 def cases() -> list[Task]:
     """Two per effect, then the clean rigs; each has the next seed."""
-    hidden = [effect for effect in EFFECTS for _ in range(2)] + CLEAN * [(None, None)]
-    return [Task(FIRST_SEED + i, *effect) for i, effect in enumerate(hidden)]
+    hidden = [[effect] for effect in EFFECTS for _ in range(2)] + CLEAN * [[]]
+    return [blind_task(FIRST_SEED + i, causes) for i, causes in enumerate(hidden)]
 
 
 @pytest.mark.timeout(1500)

@@ -43,6 +43,7 @@ def effect(name: str, at: str, **parameters: float) -> dict:
 SECOND_ARM = effect("second_appendage", "", inertia=0.002, stiffness=0.002 * (2.0 * math.pi * 8.0) ** 2,
                     damping=0.002 * 2.0 * 0.01 * 2.0 * math.pi * 8.0)
 HEAVY_TIP = SFLR | {"tip": SFLR["tip"] | {"mass": 3.0 * SFLR["tip"]["mass"]}}
+STRONG_MOTOR = RIGID_AXIS | {"motor": RIGID_AXIS["motor"] | {"gain": 3.0 * RIGID_AXIS["motor"]["gain"]}}
 MADE = {
     "clean": (SFLR_RIG, lambda: made(SFLR, [])),
     "drag": (SFLR_RIG, lambda: made(SFLR, [effect("quadratic_drag", "base", coefficient=0.02)])),
@@ -50,6 +51,7 @@ MADE = {
     "slip": (SFLR_RIG, lambda: made(SFLR, [effect("encoder_slip", "", counts=9.0, mean_time=0.4)])),
     "second arm": (SFLR_RIG, lambda: made(SFLR, [SECOND_ARM])),
     "nothing moves": (SFLR_RIG, lambda: made(SFLR, [], [step_test(RATE, "p2", 0.0, 0.8) for _ in range(2)])),
+    "gain": (AXIS, lambda: made(STRONG_MOTOR, [])),
     "either delay": (AXIS, lambda: made(RIGID_AXIS, [effect("input_delay", "amplifier", time=0.007)])),
 }
 """The rig that a diagnosis is given, and its runs."""
@@ -221,7 +223,19 @@ def test_two_causes_that_no_test_tells_apart_are_ambiguous(diagnoses):
     leading = {(first.effect, first.at), *((rival.effect, rival.at) for rival in first.rivals[:1])}
     assert leading == {("input_delay", "amplifier"), ("encoder_delay", "encoder")}
     assert said.next_experiment.test is None
-    assert said.next_experiment.why
+    assert result.equivalences[0] in said.next_experiment.why
+
+
+def test_a_wrong_gain_is_ambiguous_whatever_the_odds(diagnoses):
+    """Three times the gain is a third of inertia and damping: one cause is likelier than two, but nothing tells."""
+    _, result = diagnoses("gain")
+    first = result.diagnosis.causes[0]
+    assert result.diagnosis.verdict == "ambiguous" and first.effect == "parameter:motor.gain"
+    assert first.probability > 0.99
+    assert {rival.effect for rival in first.rivals} >= {"parameter:motor.inertia", "parameter:motor.damping"}
+    assert all(0.0 < rival.probability < 0.01 for rival in first.rivals)
+    assert result.diagnosis.next_experiment.test is None
+    assert "motor gain" in result.diagnosis.next_experiment.why
 
 
 def estimate(value: float = 0.02) -> Estimate:

@@ -207,6 +207,10 @@ def test_an_effect_of_a_users_own_is_drawn_by_its_stage_and_picture():
         stage, law, picture = Stage.TORQUE, torque, "speed"
         level: float = parameter("N m", 0.0, neutral=0.0)
 
+        @classmethod
+        def guesses(cls, rig, at):
+            return [{"level": 0.05}]
+
     try:
         runs = made([{"effect": "coulomb_friction", "at": "motor", "torque": 0.08}])
         extended = RIG.with_effects([Smooth(at="motor", level=0.08)])

@@ -6,15 +6,28 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
+from station.control.references import reference_from_test
 from station.model import stepper
 from station.model.assembly import assemble
 from station.model.effects import Effect, Stage, catalogue, effect_class
-from station.model.effects.base import parameter
+from station.model.effects.base import PICTURES, parameter
 from station.model.simulate import Model, Simulation, build, initial_state, simulate, simulate_model
 from station.rig import Rig, load_rig
 from station.runs.run import Run, RunMetadata
-from tests.truth import CATALOGUE, CONTROLLERS, SFLR, Conditions, pulse_test, simulate_case, step_test
+from tests.truth import (
+    CATALOGUE,
+    CONTROLLERS,
+    RIGID_AXIS,
+    SFLR,
+    TWO_MASS,
+    Conditions,
+    effect_names,
+    pulse_test,
+    simulate_case,
+    step_test,
+)
 from tests.truth.simulate import Output, Truth
 
 VALUES = {
@@ -54,8 +67,15 @@ TOLERANCE, FINE = (0.02, 0.06), (0.006, 0.04)
 """Largest difference (encoder, accelerometer counts) at the usual step, and at one of 0.1 ms, the generator's own."""
 SEEN = 10.0
 """A wrong effect differs by more than this many tolerances."""
-OPPOSING = {"stiffness", "coefficient"}
+OPPOSING = {("cable_spring", "stiffness"), ("quadratic_drag", "coefficient"), ("sublinear_drag", "coefficient"),
+            ("coulomb_friction", "torque"), ("load_friction", "fraction"), ("gravity_tilt", "torque"),
+            ("torque_ripple", "amplitude"), ("encoder_eccentricity", "amplitude")}
 """Parameters whose bounds allow one sign, which the law gives a direction."""
+SIGNED = {"accelerometer_centripetal", "cable_spring", "command_bias", "coulomb_friction", "encoder_eccentricity",
+          "gain_curve", "gravity_tilt", "hardening_spring", "load_friction", "quadratic_drag", "stribeck_friction",
+          "sublinear_drag", "torque_ripple"}
+"""Effects that push to one side, or against the motion."""
+UNITS = {"1", "1/rev", "s", "rad", "rad/s", "counts", "N m", "N m/rad", "N m/rad^3", "N m s/rad", "N m s^2/rad^2"}
 
 RATE, ZERO, START, OFFSET = 500.0, 0.3, 0.1, 2.0
 TESTS = [step_test(RATE, "lead_accel", 150.0, 1.2), pulse_test(RATE, 120.0, 0.1, duration=1.2),
@@ -103,8 +123,11 @@ def wrong_versions(cls: type[Effect], at: str, values: dict[str, float]):
             yield f"{name} turned", made(name, value - math.copysign(math.pi, value))
             continue
         yield f"{name} doubled", made(name, value**2 if name == "ratio" else 2.0 * value)
-        if info.low < 0.0 or name in OPPOSING:
+        if info.low < 0.0 or (cls.name, name) in OPPOSING:
             yield f"{name} flipped", made(name, -value)
+    if cls.name == "stribeck_friction":
+        levels = {name: -values[name] for name in ("static_torque", "coulomb_torque")}
+        yield "levels flipped", cls.model_construct(at=at, **(values | levels))
 
 
 def test_every_effect_has_a_case_here_and_in_the_independent_generator():
@@ -125,6 +148,59 @@ def test_effect_agrees_with_the_independent_generator_and_a_wrong_one_does_not(r
         assert np.any(differences(rig.with_effects([effect]), outputs) > SEEN * allowed), what
 
 
+def test_every_kind_of_wrong_is_tried():
+    """Turned where periodic, flipped where a sign has meaning; delays, lags, gaps, widths, limits, ratios doubled."""
+    tried = {(name, at): {what for what, _ in wrong_versions(effect_class(name), at, VALUES[name, at])}
+             for name, at in KEYS}
+    assert {name for (name, _), wrongs in tried.items() if any("flipped" in what for what in wrongs)} == SIGNED
+    for (name, at), wrongs in tried.items():
+        for parameter_name, info in effect_class(name).parameters().items():
+            how = "turned" if info.periodic else "doubled"
+            assert f"{parameter_name} {how}" in wrongs, (name, at)
+    assert {name for name, _ in KEYS if any("turned" in what for what in tried[name, effect_class(name).sites[0]])} == {
+        "encoder_eccentricity", "gravity_tilt", "torque_ripple"}
+
+
+RIGS = {table["name"]: Rig.model_validate(table) for table in (SFLR, TWO_MASS, RIGID_AXIS)}
+RIGS |= {f"sflr without {part}": RIGS["sflr"].model_copy(update={part: None})
+         for part in ("drive", "clamp", "accelerometer")}
+
+
+@pytest.mark.parametrize("name", sorted({name for name, _ in KEYS}))
+def test_an_effect_is_whole(name):
+    """Units, bounds, a neutral value, sizes to start from on every rig that it fits, a picture, a test that tells."""
+    cls = effect_class(name)
+    infos = cls.parameters()
+    assert cls.title and cls.__doc__ and cls.picture in PICTURES and isinstance(cls.stage, Stage)
+    assert any(info.neutral is not None and info.low <= info.neutral <= info.high for info in infos.values())
+    for parameter_name, info in infos.items():
+        assert info.unit in UNITS and info.low < info.high
+        for beyond in (info.low - 1.0, info.high + 1.0):
+            if math.isfinite(beyond):
+                with pytest.raises(ValidationError):
+                    cls(at=cls.sites[0], **(VALUES[name, cls.sites[0]] | {parameter_name: beyond}))
+    for rig_name, shape in RIGS.items():
+        for at in cls.sites:
+            assert cls.fits(shape, at) == ((name, at) in effect_names(tables()[rig_name])), rig_name
+            if cls.fits(shape, at):
+                guesses = [cls(at=at, **guess) for guess in cls.guesses(shape, at)]
+                assert guesses and all(neutral(cls, guess.values()) != guess.values() for guess in guesses)
+    if name == "clock_scale":   # host times tell it, no test does
+        assert cls.experiment == {} and "host times" in cls.telling
+        return
+    test = {key: value for key, value in cls.experiment.items() if key != "controller"}
+    assert np.ptp(reference_from_test(test, RATE)) > 0.0
+    rivals = {other.title for other in catalogue().values() if other is not cls} | set(RIGS["sflr"].constants())
+    assert any(rival in cls.telling for rival in rivals), cls.telling
+
+
+def tables() -> dict[str, dict]:
+    """The generator's own tables of RIGS."""
+    found = {table["name"]: table for table in (SFLR, TWO_MASS, RIGID_AXIS)}
+    return found | {f"sflr without {part}": {key: value for key, value in SFLR.items() if key != part}
+                    for part in ("drive", "clamp", "accelerometer")}
+
+
 def neutral(cls: type[Effect], values: dict[str, float]) -> dict[str, float]:
     found = {name: values[name] if info.neutral is None else info.neutral for name, info in cls.parameters().items()}
     assert found != values, f"{cls.name} has no neutral value"
@@ -143,6 +219,22 @@ def test_neutral_value_gives_the_linear_model_back(rig, key):
         for channel in ("encoder", "accel"):
             whole = getattr(one, channel)
             np.testing.assert_allclose(getattr(other, channel), whole, rtol=0.0, atol=1e-9 * np.abs(whole).max())
+
+
+@pytest.mark.parametrize("shape", sorted(set(RIGS) - {"sflr"}))
+def test_every_effect_agrees_with_the_independent_generator_on_a_rig_of_other_parts(shape):
+    rig, table, tests = RIGS[shape], tables()[shape], [test for test in TESTS if test.controller != "lead_accel"]
+    for name, at in effect_names(table):
+        values, allowed = VALUES[name, at], ROUGH.get((name, at), TOLERANCE)
+        truth = Truth(table, [{"effect": name, "at": at, **values}], elements=4, modes=9)
+        model = build(rig.with_effects([effect_class(name)(at=at, **values)]), longest=1e-4)
+        for test in tests:
+            output = truth.run(test.reference, CONTROLLERS[test.controller], start_angle=START, rounding=False)
+            made = simulate_model(model, as_run(test), rounding=False, start_angle=START)
+            gaps = [np.max(np.abs(made.encoder - output.encoder))]
+            assert (made.accel is None) == (output.accel is None) == (rig.accelerometer is None)
+            gaps += [] if output.accel is None else [np.max(np.abs(made.accel - output.accel))]
+            assert np.all(gaps <= np.array(allowed[: len(gaps)])), (name, at, test.name, gaps)
 
 
 EQUILIBRIA = [[{"effect": "cable_spring", "at": "base", "stiffness": 0.15, "rest": 0.3},
@@ -262,6 +354,10 @@ def test_a_users_own_effect_joins_without_recompiling_the_stepper(rig):
         sites: ClassVar = ("motor",)
         stage, law = Stage.TORQUE, torque
         coefficient: float = parameter("N m s/rad", 0.0, neutral=0.0)
+
+        @classmethod
+        def guesses(cls, rig, at):
+            return [{"coefficient": 0.1 * rig.motor.damping}]
 
     try:
         own = rig.with_effects([ViscousOfMyOwn(at="motor", coefficient=0.03)])

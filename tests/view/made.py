@@ -17,6 +17,7 @@ from station.diagnose.result import (
     Evidence,
     Gain,
     NextExperiment,
+    Prediction,
     RankedCause,
     Rival,
     RunComparison,
@@ -110,6 +111,14 @@ def phase_evidence() -> Evidence:
     phase = -360.0 * frequency * 0.004 + np.random.default_rng(4).normal(0.0, 1.5, 25)
     return Evidence("Phase by which the measured angle lags the simulated one", "frequency", "frequency (Hz)",
                     "phase (degrees)", frequency, phase, frequency, -360.0 * frequency * 0.004, "A line through zero.")
+
+
+def prediction() -> Prediction:
+    """What friction would change in a small step, and what the rig without it would do."""
+    first = comparisons()[0]
+    return Prediction({"kind": "step", "amplitude": 50.0, "controller": {"kind": "p", "gain": 2.0}}, first.run.t,
+                      first.run.reference, ("no cause", "coulomb_friction at motor"),
+                      (first.before.encoder, first.after.encoder), (first.before.accel, first.after.accel))
 
 
 def result(verdict: str = "explained", rig: Rig | None = None, runs: int = 5) -> DiagnosisResult:

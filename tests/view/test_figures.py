@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -81,3 +83,15 @@ def test_a_large_cloud_shows_its_median_and_the_law_is_drawn() -> None:
     assert cloud.name == "measured" and np.all(np.abs(right + made.FRICTION) < 0.006)
     assert law.meta["role"] == "law" and figure.layout.yaxis.range[0] < -made.FRICTION
     assert figures.evidence_figure(made.phase_evidence()).layout.xaxis.type == "log"
+
+
+def test_the_next_experiment_is_drawn_with_the_difference() -> None:
+    prediction = made.prediction()
+    figure = figures.prediction_figure(prediction)
+    assert [trace.name for trace in figure.data] == ["no cause", "coulomb_friction at motor", "difference"] * 2
+    one, other, apart = figure.data[3:]
+    assert np.allclose(apart.y, np.asarray(one.y) - np.asarray(other.y), atol=1e-4)
+    assert one.line.dash != other.line.dash and figure.data[0].showlegend and not one.showlegend
+    assert len(figures.prediction_figure(replace(prediction, accel=None)).data) == 3
+    hostile = figures.prediction_figure(replace(prediction, names=("<b>", "</script>")))
+    assert hostile.data[0].name == "&lt;b&gt;"

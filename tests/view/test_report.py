@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from station.diagnose.result import Diagnosis, Gain
+from station.diagnose.result import Diagnosis, Gain, Wrong
 from station.errors import WorkError
+from station.view import wording
 from station.view.report import report_html, write_report
 from station.view.wording import VERDICTS
 from tests.view import made
@@ -74,6 +75,27 @@ def test_rivals_lose_for_a_stated_reason() -> None:
     assert "wrong tip mass < 0.1 % 230 −3.0 % does not help on unseen runs" in text
 
 
+def test_what_is_known_to_be_the_same_stands_beside_the_cause() -> None:
+    same = "A late <command> is a late sensor."
+    html = report_html(replace(made.result("ambiguous"), equivalences=[same]))
+    assert f"{same} No test can tell the two apart." in Page(html).text and same not in html
+    assert "No test can tell" not in Page(report_html(made.result("ambiguous"))).text
+
+
+def test_an_error_stands_beside_what_noise_alone_leaves() -> None:
+    item = Wrong(run="a", channel="accel", measure="nrmse", simulated=0.31, measured=0.021)
+    assert wording.measure(item) == ("acceleration error", "31.0 % of the signal", "2.1 % by noise alone")
+    assert wording.measure(item.model_copy(update={"measured": None}))[2] == "–"
+
+
+def test_an_ambiguous_verdict_speaks_of_the_cause_that_has_rivals() -> None:
+    result = made.result("ambiguous")
+    cause = result.diagnosis.causes[0]
+    sure = cause.model_copy(update={"effect": "dead_zone", "at": "amplifier", "rivals": []})
+    said = wording.verdict_sentence(result.diagnosis.model_copy(update={"causes": [sure, cause]}), result.rig)
+    assert "besides dead zone in the amplifier" in said and "whether it is Coulomb friction at the motor" in said
+
+
 def test_names_from_files_are_escaped_everywhere() -> None:
     html = report_html(made.hostile())
     assert made.HOSTILE not in html
@@ -99,3 +121,12 @@ def test_a_rig_without_accelerometer_has_one_channel() -> None:
 def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(WorkError, match=r"nowhere.report\.html: cannot be written"):
         write_report(made.result(), tmp_path / "nowhere" / "report.html")
+
+
+def test_the_next_experiment_is_a_line_to_type_with_what_it_should_show() -> None:
+    full = replace(made.result("ambiguous"), prediction=made.prediction())
+    html = report_html(full)
+    assert 'id="figure-next"' in html and '"next":{' in html
+    assert "station run pulse --port PORT --rig RIG --amplitude 25 --duration 2" in Page(html).text
+    settled = replace(full, diagnosis=full.diagnosis.model_copy(update={"next_experiment": None}))
+    assert 'id="figure-next"' not in report_html(settled) and '"next":{' not in report_html(settled)

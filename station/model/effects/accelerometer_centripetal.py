@@ -18,6 +18,8 @@ class AccelerometerCentripetal(Effect):
     stage, law = Stage.ACCEL_INPUT, acceleration
     picture = "speed"
     experiment: ClassVar = {"kind": "pulse", "amplitude": 200}
+    telling = ("fast turns push the reading to one side, by the speed squared, whichever way the arm turns; a wrong "
+               "accelerometer.gain changes sign with the acceleration")
 
     fraction: float = parameter("1", -2.0, 2.0, neutral=0.0)
 

@@ -13,6 +13,7 @@ class AccelerometerDelay(Effect):
     stage = Stage.ACCEL_DELAY
     picture = "frequency"
     experiment: ClassVar = {"kind": "sweep", "amplitude": 50}
+    telling = "the phase grows with frequency while the size stays; an accelerometer lag loses size too"
 
     time: float = parameter("s", 0.0, 0.2, neutral=0.0)
 

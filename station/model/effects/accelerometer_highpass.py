@@ -24,6 +24,8 @@ class AccelerometerHighpass(Effect):
     stage, law, order, states = Stage.ACCEL_FILTER, acceleration, 1.0, 1
     picture = "frequency"
     experiment: ClassVar = {"kind": "sweep", "amplitude": 50}
+    telling = ("slow accelerations read small and early, fast ones right; a wrong accelerometer.gain is wrong at all"
+               " frequencies alike")
 
     time_constant: float = parameter("s", 1e-4, math.inf, neutral=math.inf)
 

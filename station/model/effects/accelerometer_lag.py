@@ -23,6 +23,8 @@ class AccelerometerLag(Effect):
     stage, law, order, states = Stage.ACCEL_FILTER, acceleration, 2.0, 1
     picture = "frequency"
     experiment: ClassVar = {"kind": "sweep", "amplitude": 50}
+    telling = ("fast accelerations read small as well as late; an accelerometer delay keeps their size, a wrong "
+               "beam.damping changes the resonance alone")
 
     time_constant: float = parameter("s", 0.0, 1.0, neutral=0.0)
 

@@ -19,6 +19,7 @@ class AccelerometerSaturation(Effect):
     stage, law = Stage.ACCEL_COUNTS, counts
     picture = "acceleration"
     experiment: ClassVar = {"kind": "pulse", "amplitude": 200}
+    telling = "large peaks are cut at one level and small ones are right; a wrong accelerometer.gain scales both"
 
     limit: float = parameter("counts", 0.0, math.inf, neutral=math.inf)
 

@@ -25,6 +25,8 @@ class ActuatorLag(Effect):
     stage, law, order, states = Stage.COMMAND, command, 7.0, 1
     picture = "frequency"
     experiment: ClassVar = {"kind": "step", "amplitude": 150, "controller": "lead"}
+    telling = ("fast commands lose size as well as time; an input delay keeps their size, a wrong motor.inertia also"
+               " slows what the arm does by itself")
 
     time_constant: float = parameter("s", 0.0, 1.0, neutral=0.0)
 

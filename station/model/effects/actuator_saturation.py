@@ -19,6 +19,8 @@ class ActuatorSaturation(Effect):
     stage, law, order = Stage.COMMAND, command, 3.0
     picture = "command"
     experiment: ClassVar = {"kind": "pulse", "amplitude": 200}
+    telling = ("commands beyond the limit do no more than the limit and smaller ones are right; a gain curve bends "
+               "at every size, a wrong motor.gain scales all")
 
     limit: float = parameter("counts", 0.0, math.inf, neutral=math.inf)
 

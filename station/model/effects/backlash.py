@@ -23,6 +23,8 @@ class Backlash(Effect):
     stage, law = Stage.GAP, deflection
     picture = "deflection"
     experiment: ClassVar = {"kind": "pulse", "amplitude": 100}
+    telling = ("each reversal loses the same angle, so that small moves suffer most; a dead zone loses counts "
+               "without a reversal too, a hardening spring leaves small moves alone")
 
     gap: float = parameter("rad", 0.0, 6.3, neutral=0.0)
 

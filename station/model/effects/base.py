@@ -27,13 +27,19 @@ The three DELAY stages and CLOCK have no law: their one parameter is read by the
 
 from __future__ import annotations
 
+import inspect
 import math
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from station.control.named import NAMED
+from station.control.references import reference_from_test
+from station.errors import UsageError
 
 if TYPE_CHECKING:
     from station.rig import Rig
@@ -55,6 +61,18 @@ class Stage(Enum):
     ENCODER_DELAY = "encoder_delay"
     ACCEL_DELAY = "accel_delay"
     CLOCK = "clock"
+
+
+PLACES = {Stage.COMMAND: {"amplifier"}, Stage.TORQUE: {"motor", "base"}, Stage.FRICTION: {"motor", "base", "drive"},
+          Stage.GAP: {"drive"}, Stage.SPRING: {"drive", "clamp"}, Stage.ACCEL_INPUT: {"accelerometer"},
+          Stage.ACCEL_FILTER: {"accelerometer"}, Stage.ACCEL_COUNTS: {"accelerometer"}, Stage.ENCODER: {"encoder"},
+          Stage.INPUT_DELAY: {"amplifier"}, Stage.ENCODER_DELAY: {"encoder"}, Stage.ACCEL_DELAY: {"accelerometer"},
+          Stage.CLOCK: {"clock"}}
+"""Where an effect of each stage may stand."""
+LAWLESS = {Stage.INPUT_DELAY, Stage.ENCODER_DELAY, Stage.ACCEL_DELAY, Stage.CLOCK}
+UNIT = re.compile(r"(1|(N|kg|m|s|rad|rev|counts?)(\^\d+)?)([ /](N|kg|m|s|rad|rev|counts?)(\^\d+)?)*")
+"""Units as they are written: "N m s^2/rad^2", "1/rev", "1"."""
+PICTURES = {"time", "speed", "angle", "deflection", "command", "frequency", "acceleration"}
 
 
 @dataclass(frozen=True)
@@ -98,11 +116,21 @@ class Effect(BaseModel):
     absolute: ClassVar[str | None] = None
     """The parameter that refers to the absolute angle, if any: it shifts with a run's encoder zero."""
     picture: ClassVar[str] = "time"
-    """The picture that shows it: what the residual is drawn against in a report."""
+    """The picture that shows it, one of PICTURES: what the residual is drawn against in a report."""
     experiment: ClassVar[dict[str, Any]] = {}
-    """The test that tells it from its rivals best."""
+    """The test that tells it from its rivals best; empty where none of the station's can."""
+    telling: ClassVar[str] = ""
+    """What in that test tells it from its rivals, which it names by title or constant; part of a sentence."""
 
     at: str
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        """Refuse a class that is not whole where it is written: a TypeError that says what is missing."""
+        super().__pydantic_init_subclass__(**kwargs)
+        for problem in _problems(cls) if cls.name else ():
+            name, cls.name = cls.name, ""  # a class that is refused stays out of the catalogue
+            raise TypeError(f"effect {name!r} ({cls.__qualname__}): {problem}")
 
     @classmethod
     def parameters(cls) -> dict[str, ParameterInfo]:
@@ -131,12 +159,58 @@ class Effect(BaseModel):
 
     @classmethod
     def fits(cls, rig: Rig, at: str) -> bool:
-        """Whether the rig has what the effect acts on."""
-        tables = {"amplifier": "motor", "clock": "motor"}
-        wanted = {tables.get(at, at), *cls.needs}
-        if at == "base" and rig.base is None and rig.drive is None:
-            return rig.beam is not None
-        return all(getattr(rig, table) is not None for table in wanted)
+        """Whether the rig has what the effect acts on; without a drive motor and base turn as one."""
+        tables = {"amplifier": "motor", "clock": "motor"} | ({"base": "motor"} if rig.drive is None else {})
+        return all(getattr(rig, table) is not None for table in {tables.get(at, at), *cls.needs})
+
+
+def named(base: type[Effect] = Effect) -> Iterator[type[Effect]]:
+    """Every subclass that has a name."""
+    for cls in base.__subclasses__():
+        if cls.name:
+            yield cls
+        yield from named(cls)
+
+
+def _problems(cls: type[Effect]) -> Iterator[str]:
+    """What a class lacks or has wrong."""
+    if not re.fullmatch("[a-z][a-z0-9_]*", cls.name):
+        yield "the name is of small letters, digits and underscores"
+    for other in named():
+        if other.name == cls.name and (other.__module__, other.__qualname__) != (cls.__module__, cls.__qualname__):
+            yield f"the name is taken by {other.__module__}.{other.__qualname__}"
+    for field_name, field in cls.model_fields.items():
+        info = (field.json_schema_extra or {}).get("info")  # type: ignore[union-attr]
+        if field_name != "at" and info is None:
+            yield f"{field_name} is not declared by parameter(unit, low, high)"
+        elif info is not None and not UNIT.fullmatch(info.unit):  # type: ignore[union-attr]
+            yield f"{field_name}: a unit is made of N, kg, m, s, rad, rev and counts, not {info.unit!r}"
+    if not isinstance(getattr(cls, "stage", None), Stage):
+        yield "no stage; one of Stage is wanted"
+        return
+    if not cls.sites or not set(cls.sites) <= PLACES[cls.stage]:
+        yield f"sites are of {', '.join(sorted(PLACES[cls.stage]))} for a {cls.stage.value}, not {cls.sites!r}"
+    if cls.stage in LAWLESS:
+        if len(cls.parameters()) != 1:
+            yield f"a {cls.stage.value} has one parameter"
+    elif not callable(cls.law) or len(inspect.signature(cls.law).parameters) != 6:
+        yield "law is a function of x, v, w, p, s, h"
+    if cls.picture not in PICTURES:
+        yield f"picture is one of {', '.join(sorted(PICTURES))}, not {cls.picture!r}"
+    if cls.experiment:
+        test = {"amplitude": 1.0, **cls.experiment}
+        if test.pop("controller", "p") not in NAMED:
+            yield f"experiment.controller is one of {', '.join(NAMED)}, not {cls.experiment['controller']!r}"
+        try:
+            reference_from_test(test, 500.0)
+        except UsageError as error:
+            yield f"experiment: {error}"
+    if all(info.neutral is None for info in cls.parameters().values()):
+        yield "no parameter has a neutral value, at which the effect does nothing"
+    if cls.absolute is not None and cls.absolute not in cls.parameters():
+        yield f"absolute names no parameter: {cls.absolute!r}"
+    if "guesses" not in {name for base in cls.__mro__[:-1] if base is not Effect for name in vars(base)}:
+        yield "no guesses, the sizes from which a fit starts"
 
 
 def torque_scale(rig: Rig) -> float:

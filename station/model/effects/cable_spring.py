@@ -20,6 +20,8 @@ class CableSpring(Effect):
     absolute = "rest"
     picture = "angle"
     experiment: ClassVar = {"kind": "step", "amplitude": 200, "controller": "p"}
+    telling = ("held at several angles, the arm is pulled the harder the farther it is from rest; a command bias is "
+               "the same at every angle, gravity by tilt turns back within a revolution")
 
     stiffness: float = parameter("N m/rad", 0.0, neutral=0.0)
     rest: float = parameter("rad", -20.0 * math.pi, 20.0 * math.pi)

@@ -13,6 +13,8 @@ class ClockScale(Effect):
     stage = Stage.CLOCK
     picture = "frequency"
     experiment: ClassVar = {}
+    telling = ("angle and acceleration cannot tell it from wrong constants; host times logged beside the device's, "
+               "over a long run, can")
 
     ratio: float = parameter("1", 0.1, 10.0, neutral=1.0)
 

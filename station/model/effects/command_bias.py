@@ -18,6 +18,8 @@ class CommandBias(Effect):
     stage, law, order = Stage.COMMAND, command, 6.0
     picture = "time"
     experiment: ClassVar = {"kind": "step", "amplitude": 30, "controller": "p"}
+    telling = ("the arm stands off by the same torque at every angle; a cable spring and gravity by tilt depend on "
+               "the angle, gain asymmetry on the size of the command")
 
     offset: float = parameter("counts", -1000.0, 1000.0, neutral=0.0)
 

@@ -18,6 +18,8 @@ class CoulombFriction(Effect):
     stage, law = Stage.FRICTION, level
     picture = "speed"
     experiment: ClassVar = {"kind": "pulse", "amplitude": 60}
+    telling = ("a coasting arm is braked by the same torque at every speed and then held; a dead zone leaves a "
+               "coasting arm alone, sublinear drag and a wrong motor.damping fade with the speed")
 
     torque: float = parameter("N m", 0.0, neutral=0.0)
 

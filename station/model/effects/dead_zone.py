@@ -22,6 +22,8 @@ class DeadZone(Effect):
     stage, law, order = Stage.COMMAND, command, 2.0
     picture = "command"
     experiment: ClassVar = {"kind": "pulse", "amplitude": 20}
+    telling = ("small commands do nothing even while the arm moves; Coulomb friction brakes a coasting arm too, a "
+               "gain curve has no edge")
 
     width: float = parameter("counts", 0.0, neutral=0.0)
 

@@ -13,6 +13,7 @@ class EncoderDelay(Effect):
     stage = Stage.ENCODER_DELAY
     picture = "frequency"
     experiment: ClassVar = {"kind": "step", "amplitude": 150, "controller": "lead"}
+    telling = "the encoder comes late against the accelerometer; an input delay shifts both together"
 
     time: float = parameter("s", 0.0, 0.2, neutral=0.0)
 

@@ -20,6 +20,8 @@ class EncoderEccentricity(Effect):
     absolute = "phase"
     picture = "angle"
     experiment: ClassVar = {"kind": "pulse", "amplitude": 200}
+    telling = ("the angle is wrong once per revolution and the acceleration is right; torque ripple and gravity by "
+               "tilt move the arm itself")
 
     amplitude: float = parameter("counts", 0.0, neutral=0.0)
     phase: float = parameter("rad", -math.pi, math.pi, periodic=True)

@@ -18,6 +18,8 @@ class GainAsymmetry(Effect):
     stage, law, order = Stage.COMMAND, command, 5.0
     picture = "command"
     experiment: ClassVar = {"kind": "pulse", "amplitude": 100}
+    telling = ("the same pulse either way turns the arm by different angles, in one ratio at every size; a command "
+               "bias adds the same to both")
 
     ratio: float = parameter("1", 0.01, 100.0, neutral=1.0)
 

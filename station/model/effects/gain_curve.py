@@ -20,6 +20,8 @@ class GainCurve(Effect):
     stage, law, order = Stage.COMMAND, command, 4.0
     picture = "command"
     experiment: ClassVar = {"kind": "pulse", "amplitude": 40}
+    telling = ("the same pulse, small and large, is answered by different gains; a dead zone takes the same counts "
+               "off both, a wrong motor.gain changes both alike")
 
     exponent: float = parameter("1", -0.99, 10.0, neutral=0.0)
 

@@ -20,6 +20,8 @@ class GravityTilt(Effect):
     absolute = "angle"
     picture = "angle"
     experiment: ClassVar = {"kind": "step", "amplitude": 200, "controller": "p"}
+    telling = ("held at several angles, the arm is pulled by the sine of the angle; a cable spring goes on growing, "
+               "a command bias is the same everywhere")
 
     torque: float = parameter("N m", 0.0, neutral=0.0)
     angle: float = parameter("rad", -math.pi, math.pi, periodic=True)

@@ -18,6 +18,8 @@ class HardeningSpring(Effect):
     stage, law = Stage.SPRING, torque
     picture = "deflection"
     experiment: ClassVar = {"kind": "pulse", "amplitude": 200}
+    telling = ("the resonance moves with the size of the swing; a wrong stiffness (drive.stiffness, clamp.stiffness)"
+               " moves it alike at every size, backlash matters most in small swings")
 
     cubic: float = parameter("N m/rad^3", -1e9, 1e9, neutral=0.0)
 

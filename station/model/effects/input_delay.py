@@ -13,6 +13,8 @@ class InputDelay(Effect):
     stage, order = Stage.INPUT_DELAY, 1.0
     picture = "frequency"
     experiment: ClassVar = {"kind": "step", "amplitude": 150, "controller": "lead"}
+    telling = ("encoder and accelerometer come late together, at full size; an actuator lag takes size off fast "
+               "commands, an encoder delay shifts the encoder alone")
 
     time: float = parameter("s", 0.0, 0.2, neutral=0.0)
 

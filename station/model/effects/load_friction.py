@@ -18,6 +18,8 @@ class LoadFriction(Effect):
     stage, law = Stage.FRICTION, level
     picture = "speed"
     experiment: ClassVar = {"kind": "step", "amplitude": 100, "controller": "lead"}
+    telling = ("the motor is braked while the drive works hard and hardly while it coasts; Coulomb friction brakes "
+               "alike in both")
 
     fraction: float = parameter("1", 0.0, 0.999, neutral=0.0)
 

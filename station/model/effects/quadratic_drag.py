@@ -18,6 +18,8 @@ class QuadraticDrag(Effect):
     stage, law = Stage.TORQUE, torque
     picture = "speed"
     experiment: ClassVar = {"kind": "pulse", "amplitude": 200}
+    telling = ("fast swings are braked out of proportion; a wrong motor.damping brakes fast and slow ones alike, "
+               "sublinear drag the slow ones more")
 
     coefficient: float = parameter("N m s^2/rad^2", 0.0, neutral=0.0)
 

@@ -22,6 +22,7 @@ class StribeckFriction(Effect):
     stage, law = Stage.FRICTION, level
     picture = "speed"
     experiment: ClassVar = {"kind": "triangle", "amplitude": 60}
+    telling = "slow reversals stick and break loose; Coulomb friction has the same level before and after"
 
     static_torque: float = parameter("N m", 0.0, neutral=0.0)
     coulomb_torque: float = parameter("N m", 0.0, neutral=0.0)

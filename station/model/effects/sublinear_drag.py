@@ -18,6 +18,8 @@ class SublinearDrag(Effect):
     stage, law = Stage.TORQUE, torque
     picture = "speed"
     experiment: ClassVar = {"kind": "pulse", "amplitude": 150}
+    telling = ("the braking levels off at speed and vanishes at rest; a wrong motor.damping goes on growing, Coulomb"
+               " friction also holds at rest")
 
     coefficient: float = parameter("N m s/rad", 0.0, neutral=0.0)
     speed: float = parameter("rad/s", 1e-3, 1e3)

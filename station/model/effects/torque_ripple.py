@@ -20,6 +20,8 @@ class TorqueRipple(Effect):
     absolute = "phase"
     picture = "angle"
     experiment: ClassVar = {"kind": "pulse", "amplitude": 60}
+    telling = ("a slow turn is pushed at the same angles every time, whatever the speed; Stribeck friction knows no "
+               "angle, encoder eccentricity leaves the acceleration alone")
 
     amplitude: float = parameter("N m", 0.0, neutral=0.0)
     cycles: float = parameter("1/rev", 0.5, 200.0)

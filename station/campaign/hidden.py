@@ -1,22 +1,20 @@
-"""Draws the demo's hidden rig: constants within their uncertainty, and one effect that shows."""
+"""Draws rigs with something hidden: constants within their uncertainty, and effects that show."""
 
 from __future__ import annotations
 
-import hashlib
-import os
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.optimize import least_squares
 
+from station.errors import WorkError
 from station.model.effects import Effect, catalogue
 from station.model.simulate import build, simulate_model
 from station.rig import Rig
 from station.runs.run import Run
 
 CLEAR = 1000.0
-"""Least chi squared that the effect must leave in the demo's tests once the constants are fitted without it."""
+"""Least chi squared that an effect must leave in the tests once the constants are fitted without it."""
 STILL_MOVES = 0.3
 """Share of its range that the arm must keep, or the effect is a broken rig."""
 SIZES = (0.7, 1.4)
@@ -24,45 +22,39 @@ SIZES = (0.7, 1.4)
 LEFT_OUT = frozenset({"clock_scale"})
 """By the angle and the acceleration alone this one is the same as other constants (a known equivalence)."""
 FIT_STEPS = 8
+DRAWS = 200
+"""Rigs that are drawn before it is said that nothing shows."""
 
 
-@dataclass(frozen=True)
-class Sealed:
-    """A rig file that nobody opens before the end; its hash is told at once."""
-
-    path: Path
-    sha256: str
-
-    @classmethod
-    def write(cls, rig: Rig, path: Path) -> Sealed:
-        """Write the rig, readable by this user alone."""
-        data = rig.to_toml().encode("utf-8")
-        with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
-            file.write(data)
-        return cls(path, hashlib.sha256(data).hexdigest())
-
-    def open(self) -> Rig:
-        """Read it, after making sure that it is what was sealed."""
-        data = self.path.read_bytes()
-        if hashlib.sha256(data).hexdigest() != self.sha256:
-            raise ValueError(f"{self.path}: not the file that was sealed")
-        return Rig.from_toml(data.decode("utf-8"), source=str(self.path))
+def places(nominal: Rig) -> list[tuple[str, str]]:
+    """(effect, at) of everything that may be hidden in such a rig."""
+    taken = {(effect.name, effect.at) for effect in nominal.effects}
+    return [(name, at) for name, cls in catalogue().items() if name not in LEFT_OUT
+            for at in cls.sites if cls.fits(nominal, at) and (name, at) not in taken]
 
 
-def draw(nominal: Rig, tests: list[Run], noise: float, rng: np.random.Generator) -> Rig:
-    """A rig whose constants lie within two sigma of the nominal's, with one effect drawn from the catalogue.
+def draw(nominal: Rig, tests: list[Run], noise: float, rng: np.random.Generator,
+         hidden: Sequence[tuple[str, str]] | None = None) -> Rig:
+    """A rig whose constants lie within two sigma of the nominal's, with effects of the catalogue.
 
-    ``tests`` are runs whose references, controllers and commands stand for the tests to come, ``noise`` is the
-    accelerometer's (counts): an effect that does not show in them, or keeps the arm from moving, is drawn again.
+    ``hidden`` are their names and places; None for one at random.  ``tests`` are runs whose references, controllers
+    and commands stand for the tests to come, ``noise`` is the accelerometer's (counts): an effect that does not show
+    in them by itself, or keeps the arm from moving, is drawn again.  WorkError where none shows.
     """
-    places = [(cls, at) for name, cls in catalogue().items() if name not in LEFT_OUT
-              for at in cls.sites if cls.fits(nominal, at)]
-    while True:
+    choice = places(nominal)
+    for _ in range(DRAWS):
         clean = _draw_constants(nominal, rng)
-        kind, at = places[rng.integers(len(places))]
-        effect = _draw_size(kind, at, clean, rng)
-        if effect is not None and _shows(nominal, clean, hidden := clean.with_effects([effect]), tests, noise):
-            return hidden
+        chosen = [choice[rng.integers(len(choice))]] if hidden is None else hidden
+        effects = [_draw_size(catalogue()[name], at, clean, rng) for name, at in chosen]
+        if any(effect is None for effect in effects):
+            continue
+        alone = [clean.with_effects([*clean.effects, effect]) for effect in effects if effect is not None]
+        found = clean.with_effects([*clean.effects, *(effect for effect in effects if effect is not None)])
+        if all(_shows(nominal, clean, rig, tests, noise) for rig in alone) and (
+                len(effects) < 2 or _moves(_outputs(clean, tests), _outputs(found, tests))):
+            return found
+    names = " and ".join(f"{name} at the {at}" for name, at in hidden) if hidden else "effect"
+    raise WorkError(f"{nominal.name}: in {DRAWS} draws no {names} showed in the tests")
 
 
 def _draw_constants(nominal: Rig, rng: np.random.Generator) -> Rig:
@@ -101,10 +93,13 @@ def _draw_size(kind: type[Effect], at: str, rig: Rig, rng: np.random.Generator) 
 def _shows(nominal: Rig, clean: Rig, hidden: Rig, tests: list[Run], noise: float) -> bool:
     """Whether the effect shows in the tests beyond what other constants could imitate, and lets the arm move."""
     without, with_it = _outputs(clean, tests), _outputs(hidden, tests)
-    for before, after in zip(without, with_it, strict=True):
-        if np.ptp(after[0]) < STILL_MOVES * np.ptp(before[0]):
-            return False
-    return severity(nominal, hidden, with_it, tests, noise) > CLEAR
+    return _moves(without, with_it) and severity(nominal, hidden, with_it, tests, noise) > CLEAR
+
+
+def _moves(without: list[np.ndarray], with_it: list[np.ndarray]) -> bool:
+    """Whether the arm still moves in every test."""
+    return all(np.ptp(after[0]) >= STILL_MOVES * np.ptp(before[0])
+               for before, after in zip(without, with_it, strict=True))
 
 
 def severity(nominal: Rig, hidden: Rig, with_it: list[np.ndarray], tests: list[Run], noise: float) -> float:

@@ -1,0 +1,1 @@
+"""Campaigns: many cases diagnosed over many cores or machines, and what they say together."""

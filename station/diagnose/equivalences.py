@@ -1,0 +1,442 @@
+"""Known equivalences: sets of causes that do exactly the same to every signal that a rig gives.
+
+No test of the station can tell the two sides of one apart, so a diagnosis that names one side is `ambiguous`, whatever
+the odds, and the other side's causes are its rivals.  TABLE holds all that are known, each with its proof; ``sides``
+gives the other sides as rigs, so that the proof can be tried on the model.
+
+**Units.**  A run holds command and encoder in counts (angles), the accelerometer in counts, and time in samples.  No
+torque, length or second stands in it.  So a change of the unit of torque, of length, or (where no second clock watched
+the board's) of time changes the rig's numbers and no reading.  A constant or an effect's parameter of the dimension
+torque^p length^q time^r takes the factor a^p b^q c^r.
+
+**When a wrong constant is one side.**  The unit of torque enters the data through motor.gain alone: that it is off
+cannot be told from one wrong unit in every other torque, inertia, damping and stiffness, so it is always one side.
+For any other constant the move along a unit must buy a believable other reading of the same data: a set of no more
+causes that is at least BELIEVABLE times as probable beforehand, that would not be so without the move, and that needs
+each of its causes.  With v the logarithms of the constants over nominal, S their prior covariance (a set's own
+constants set free), and y what is left of v without the directions of the units,
+
+    ln odds = LOG_PRIOR (other causes - causes) + ln N(y; 0, S_other) - ln N(y; 0, S).
+
+What the uncertainties alone could undo accuses nobody anyway: the re-fitted rig without the cause is then as good.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import scipy.linalg
+from pydantic import ValidationError
+
+from station.diagnose.candidates import candidates
+from station.diagnose.posterior import UNITS, Key, Odds, normalised
+from station.diagnose.problem import WIDE, Problem
+from station.diagnose.result import NextExperiment, Rival, Verdict
+from station.diagnose.search import LOG_PRIOR, LOG_PRIOR_PARAMETER
+from station.model.effects import Effect, Stage, effect_class
+from station.rig import Rig
+
+BELIEVABLE = 1e-3
+"""Odds beforehand, against the set named, from which another set of wrong constants counts as one side."""
+FLOOR = 1e-3
+"""Least probability stated for a rival that no data could rule out: nobody knows prior odds better than that."""
+SURE = 0.8
+"""Probability from which on the leading cause, or what is equivalent to it, stands alone."""
+LISTED, LONGEST_LIST = 0.005, 5
+"""Least probability of a rival that is listed without an equivalence, and how many are."""
+INPUT, ENCODER = ("input_delay", "amplifier"), ("encoder_delay", "encoder")
+ACCEL, CLOCK = ("accelerometer_delay", "accelerometer"), ("clock_scale", "clock")
+TILT, RIPPLE = ("gravity_tilt", "base"), ("torque_ripple", "motor")
+GAIN = ("parameter:motor.gain", "")
+_BASE = {"N": (1, -1, 0), "kg": (1, -2, 2), "m": (0, 1, 0), "s": (0, 0, 1),
+         **dict.fromkeys(("1", "rad", "rev", "count", "counts"), (0, 0, 0))}
+
+
+class UnknownUnitError(ValueError):
+    """A unit that is not made of N, kg, m, s, rad, rev and counts."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What decides, beside the causes, whether an equivalence applies."""
+
+    rig: Rig
+    """As given, without the causes."""
+    clock: bool
+    """Whether a second clock watched the board's."""
+    released: tuple[float, ...]
+    """Starting angles, rad, of the runs that start released, with springs relaxed."""
+
+    @property
+    def allowed(self) -> frozenset[Key]:
+        """What may be a cause on this rig."""
+        return frozenset(candidate.key for candidate in candidates(self.rig))
+
+
+@dataclass(frozen=True)
+class Side:
+    """A set of causes and the rig in which they do the same as those named."""
+
+    causes: frozenset[Key]
+    rig: Rig
+    log_odds: float
+    """Of this side against the one named, before any data."""
+
+
+@dataclass(frozen=True)
+class Equivalence:
+    """One row of the table."""
+
+    name: str
+    sentence: str
+    proof: str
+    applies: str
+    tells: str
+    """What would tell the sides apart, since no test does."""
+    sides: Callable[[frozenset[Key], Rig, Setting], list[Side]]
+    """The other sides of (causes, the rig with them, setting); none where it does not apply."""
+
+
+@dataclass(frozen=True)
+class Standing:
+    """An equivalence that applies to the causes named, and its other sides."""
+
+    equivalence: Equivalence
+    sides: list[Side]
+
+
+def dimension(unit: str) -> tuple[int, int, int]:
+    """Powers of (torque, length, time) in a unit such as "N m s^2/rad^2"; angles and counts are numbers."""
+    total = np.zeros(3, dtype=int)
+    over, *under = unit.split("/")
+    for sign, part in ((1, over), *((-1, p) for p in under)):
+        for token in part.split():
+            name, _, power = token.partition("^")
+            if name not in _BASE:
+                raise UnknownUnitError(f"{unit!r}: {name!r} is none of {', '.join(_BASE)}")
+            total += sign * int(power or 1) * np.array(_BASE[name])
+    return tuple(int(p) for p in total)
+
+
+def powers(paths: Sequence[str], which: int) -> np.ndarray:
+    """Power of torque (0), length (1) or time (2) in each constant."""
+    return np.array([float(dimension(UNITS[path])[which]) for path in paths])
+
+
+def rescaled(rig: Rig, torque: float = 1.0, length: float = 1.0, time: float = 1.0) -> Rig:
+    """The same rig where torques, lengths and times (all constants' and effects') carry these factors."""
+    def factor(unit: str) -> float:
+        p, q, r = dimension(unit)
+        return torque**p * length**q * time**r
+    constants = {path: value * factor(UNITS[path]) for path, value in rig.constants().items()}
+    effects = [e.model_copy(update={name: value * factor(e.parameters()[name].unit)
+                                    for name, value in e.values().items()}) for e in rig.effects]
+    return rig.with_constants(constants).with_effects(effects)
+
+
+def _key(effect: Effect) -> Key:
+    return effect.name, effect.at
+
+
+def _with(rig: Rig, without: Sequence[Key], values: dict[Key, dict[str, float]]) -> Rig:
+    """The rig with some effects replaced by others."""
+    kept = [e for e in rig.effects if _key(e) not in without]
+    return rig.with_effects([*kept, *(effect_class(name)(at=at, **v) for (name, at), v in values.items())])
+
+
+def _constant(path: str) -> Key:
+    return f"parameter:{path}", ""
+
+
+def _paths(causes: frozenset[Key]) -> list[str]:
+    return sorted(name.split(":", 1)[1] for name, _ in causes if name.startswith("parameter:"))
+
+
+def moves_by_itself(rig: Rig, setting: Setting) -> bool:
+    """Whether some torque acts from sample 0 of a released run without a command: then time 0 is marked in the data."""
+    state = [0.0] * 8
+    for effect in rig.effects:
+        for angle in setting.released:
+            at_rest = (angle, 0.0, 0.0) if effect.stage is Stage.TORQUE else (0.0, 0.0, rig.amplifier.limit)
+            if effect.stage not in (Stage.TORQUE, Stage.COMMAND):
+                continue
+            if type(effect).law(*at_rest, effect.arguments(rig), state, rig.period) != 0.0:
+                return True
+    return False
+
+
+def _late(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
+    """Only (input + encoder) and (input + accelerometer) show; one of the delays can always be traded away."""
+    times = {_key(e): next(iter(e.values().values())) for e in rig.effects
+             if _key(e) in causes and _key(e) in (INPUT, ENCODER, ACCEL)}
+    if not times or moves_by_itself(rig, setting):
+        return []
+    sums = {key: times.get(INPUT, 0.0) + times.get(key, 0.0)
+            for key in ((ENCODER, ACCEL) if rig.accelerometer is not None else (ENCODER,))}
+    found = []
+    for common in (0.0, min(sums.values())):
+        new = {INPUT: common, **{key: total - common for key, total in sums.items()}}
+        new = {key: time for key, time in new.items() if time > 1e-9}
+        other = (causes - frozenset(times)) | frozenset(new)
+        # A side that keeps all that is named and adds to it names no rival in anything's place.
+        if frozenset(new) <= setting.allowed and not other >= causes:
+            found.append(Side(other, _with(rig, list(times), {k: {"time": t} for k, t in new.items()}),
+                              LOG_PRIOR * (len(other) - len(causes))))
+    return found
+
+
+def _log_density(logs: np.ndarray, covariance: np.ndarray, directions: np.ndarray) -> float:
+    """ln N of the logs (n) with the directions (k, n) projected out, up to a constant of n and k."""
+    basis = scipy.linalg.null_space(directions) if len(directions) else np.eye(logs.size)
+    seen, spread = basis.T @ logs, basis.T @ covariance @ basis
+    return float(-0.5 * seen @ np.linalg.solve(spread, seen) - 0.5 * np.linalg.slogdet(spread)[1])
+
+
+class _Constants:
+    """The prior of a rig's constants and the directions of its units."""
+
+    def __init__(self, causes: frozenset[Key], rig: Rig, setting: Setting) -> None:
+        self.causes, self.rig, self.setting = causes, rig, setting
+        self.paths = list(setting.rig.constants())
+        nominal, values = setting.rig.constants(), rig.constants()
+        self.logs = np.array([math.log(values[p] / nominal[p]) for p in self.paths])
+        self.units = [d for d in (powers(self.paths, 0), powers(self.paths, 1)) if np.any(d)]
+        self.time = powers(self.paths, 2)
+
+    def covariance(self, causes: frozenset[Key]) -> np.ndarray:
+        """Of the logarithms, with a set of causes set free; a clock that is off spreads them along time."""
+        found = self.setting.rig.log_covariance(self.paths)
+        for path in _paths(causes):
+            i = self.paths.index(path)
+            found[i, i] += WIDE**2
+        if CLOCK in causes:
+            found += _clock_sigma(self.setting.rig) ** 2 * np.outer(self.time, self.time)
+        return found
+
+    def log_odds(self, other: frozenset[Key], directions: Sequence[np.ndarray]) -> float:
+        """Of another set against the one named, before the data, where the data leave these directions open."""
+        open_ = np.array(directions).reshape(-1, len(self.paths))
+        return (LOG_PRIOR * (len(other) - len(self.causes)) + _log_density(self.logs, self.covariance(other), open_)
+                - _log_density(self.logs, self.covariance(self.causes), open_))
+
+    def believable(self, added: Sequence[Key]) -> Iterator[tuple[frozenset[Key], float]]:
+        """Sets, and their log odds, in which one of ``added`` takes the place of one or more wrong constants."""
+        named = [_constant(path) for path in _paths(self.causes)]
+        rivals = sorted(self.setting.allowed & set(added) - self.causes)
+        for gone in (gone for count in range(1, len(named) + 1) for gone in combinations(named, count)):
+            rest = self.causes - frozenset(gone)
+            least = max(math.log(BELIEVABLE), self.log_odds(rest, self.units))
+            for key in rivals:
+                log_odds = self.log_odds(rest | {key}, self.units)
+                if log_odds > least:
+                    yield rest | {key}, log_odds
+
+    def along(self, other: frozenset[Key], direction: np.ndarray, sigma: float = math.inf) -> float:
+        """How far along a direction, itself known to sigma, the constants are most probable under another set."""
+        precision = np.linalg.inv(self.covariance(other))
+        return -float(direction @ precision @ self.logs) / (float(direction @ precision @ direction) + sigma**-2)
+
+
+def _clock_sigma(rig: Rig) -> float:
+    """Prior sigma of the logarithm of a clock's ratio: the size that is looked for first, WIDE at its upper end."""
+    return math.exp(WIDE) * max(abs(math.log(g["ratio"])) for g in effect_class(CLOCK[0]).guesses(rig, CLOCK[1]))
+
+
+def _unit(which: int) -> Callable[[frozenset[Key], Rig, Setting], list[Side]]:
+    """Another constant takes over what one unit (0 torque, 1 length) lets move; see the module."""
+    def sides(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
+        found = []
+        known = _Constants(causes, rig, setting)
+        direction = powers(known.paths, which)
+        if not _paths(causes) or not np.any(direction):
+            return []
+        bearers = [_constant(p) for p, power in zip(known.paths, direction, strict=True) if power]
+        if which == 0 and GAIN in causes:
+            factor = setting.rig.motor.gain / rig.motor.gain
+            other = (causes | set(bearers)) - {GAIN}
+            found.append(Side(other, rescaled(rig, torque=factor), known.log_odds(other, known.units)))
+        others = [d for d in known.units if not np.array_equal(d, direction)]
+        for other, log_odds in known.believable(bearers):
+            if known.log_odds(other, others) < math.log(BELIEVABLE):
+                factor = math.exp(known.along(other, direction))
+                found.append(Side(other, rescaled(rig, **{("torque", "length")[which]: factor}), log_odds))
+        return found
+    return sides
+
+
+def _time(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
+    """A clock that is off against constants rescaled, either way round."""
+    if setting.clock:
+        return []
+    known = _Constants(causes, rig, setting)
+    if CLOCK in causes:
+        ratio = next(e for e in rig.effects if _key(e) == CLOCK).values()["ratio"]
+        moved = {_constant(p) for p, power in zip(known.paths, known.time, strict=True) if power}
+        other = (causes | moved) - {CLOCK}
+        return [Side(other, rescaled(_with(rig, [CLOCK], {}), time=1.0 / ratio), known.log_odds(other, known.units))]
+    found = []
+    for other, log_odds in known.believable([CLOCK]):
+        ratio = math.exp(known.along(other - {CLOCK}, known.time, _clock_sigma(setting.rig)))
+        found.append(Side(other, _with(rescaled(rig, time=ratio), [], {CLOCK: {"ratio": ratio}}), log_odds))
+    return found
+
+
+def _one_shaft(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
+    """Without a drive the motor's and the base's inertias only add."""
+    if rig.drive is not None or rig.base is None:
+        return []
+    found = []
+    nominal, values = setting.rig.constants(), rig.constants()
+    for one, two in (("motor.inertia", "base.inertia"), ("base.inertia", "motor.inertia")):
+        moved = values[two] + values[one] - nominal[one]
+        if _constant(one) in causes and _constant(two) not in causes and moved > 0.0:
+            found.append(Side((causes - {_constant(one)}) | {_constant(two)},
+                              rig.with_constants({one: nominal[one], two: moved}), 0.0))
+    return found
+
+
+def _tilt(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
+    """Without a drive a tilt is a ripple of one cycle per turn."""
+    if rig.drive is not None or TILT not in causes or RIPPLE in causes or RIPPLE not in setting.allowed:
+        return []
+    tilt = next(e for e in rig.effects if _key(e) == TILT).values()
+    phase = math.pi - tilt["angle"]
+    ripple = {"amplitude": tilt["torque"], "cycles": 1.0, "phase": math.remainder(phase, 2.0 * math.pi)}
+    return [Side((causes - {TILT}) | {RIPPLE}, _with(rig, [TILT], {RIPPLE: ripple}), LOG_PRIOR_PARAMETER)]
+
+
+TABLE: tuple[Equivalence, ...] = (
+    Equivalence(
+        "delays",
+        "A command that acts late does exactly what the sensors (encoder, accelerometer) do where all read as late.",
+        "Rig and compensator are the same at all times. With P the rig at rest before the test, D(x) a delay of x, "
+        "a, b, c the delays of input, encoder and accelerometer: encoder = D(b) P D(a) u = D(a+b) P u and "
+        "accelerometer = D(c) P' D(a) u = D(a+c) P' u, laws that are not linear included, for P D = D P. The "
+        "compensator sees these readings and no others, so a closed loop is the same too. Only a+b and a+c show: "
+        "{input a} = {encoder a, accelerometer a}; {input a, encoder b} = {encoder a+b, accelerometer a}; "
+        "{input a, accelerometer c} = {encoder a, accelerometer a+c}. Without an accelerometer {input a} = "
+        "{encoder a}. No delay is negative, so an encoder or an accelerometer that is late alone has no other side.",
+        "Delays are named, at least one of them common to all sensors, and no torque acts before the command does "
+        "(command bias, tilt, cable or ripple in a run that starts released mark time 0).",
+        "only a look at the hardware does, such as an oscilloscope on the amplifier's output and on the encoder's "
+        "lines beside the board's samples", _late),
+    Equivalence(
+        "unit of time",
+        "A clock that is off does exactly what constants do that are rescaled by the powers of time in them.",
+        "With the true period r T and t = r tau, M q'' + C q' + K q = F u becomes (M/r^2) d2q/dtau2 + (C/r) dq/dtau + "
+        "K q = F u, sampled every T. So the clock's ratio r is the same as inertias and masses / r^2, dampings and "
+        "beam.damping / r, accelerometer.gain / r^2 (an acceleration is / r^2 as long in tau), delays and time "
+        "constants / r, stribeck_velocity and sublinear_drag's speed * r, its coefficient / r, quadratic_drag's / r^2; "
+        "stiffnesses, torques, angles, counts and the compensator, whose recursion counts samples, stay.",
+        "No run has both host_time and device_time of real clocks; where they do, their regression decides.",
+        "log with host_time beside device_time (station run does): a second clock decides", _time),
+    Equivalence(
+        "unit of torque",
+        "A motor gain that is off does exactly what all inertias, dampings, stiffnesses and torques do that are off "
+        "by the inverse.",
+        "M q'' + C q' + K q = g u + torques of effects, times any factor s, has the same solution q. M, C, K are "
+        "linear in motor.inertia, motor.damping, drive, base, clamp, mass_per_length, flexural_rigidity, tip.mass and "
+        "tip.inertia; beam.damping (a time), beam.length and accelerometer.gain stay. Encoder and accelerometer read q "
+        "and q'', so all but g times 1/s is g times s. On a rigid axis gain, inertia and damping show as two ratios.",
+        "motor.gain is named; or another constant, for which another one of no more causes is believable.",
+        "measure one torque or one inertia by itself, such as the motor's stall torque on a lever and a balance",
+        _unit(0)),
+    Equivalence(
+        "unit of length",
+        "A beam that is longer, with mass_per_length, tip.mass, flexural_rigidity and accelerometer.gain to match, "
+        "reads the same.",
+        "Let deflections be s times as large at equal rotations. Energies stay if length * s, mass_per_length * s^-3, "
+        "tip.mass * s^-2, flexural_rigidity * s (kinetic: m w'^2; elastic: EI w''^2 over the length), tip.inertia, "
+        "beam.damping and all rotary constants unchanged. The tip's acceleration is s times as large, "
+        "accelerometer.gain * s^-1 reads it the same; fraction * length of accelerometer_centripetal goes with it.",
+        "A constant with a length in it is named, and another one of no more causes is believable.",
+        "a ruler and a balance do: measure the beam's length and mass", _unit(1)),
+    Equivalence(
+        "one shaft",
+        "Without a drive motor and base are one part: only the sum of their inertias shows.",
+        "With one coordinate for both rotations M holds motor.inertia + base.inertia in one entry, and neither stands "
+        "anywhere else.",
+        "The rig has a base and no drive, and one of the two inertias is named.",
+        "take the motor off its base", _one_shaft),
+    Equivalence(
+        "tilt or ripple",
+        "Without a drive a tilt of the base does exactly what a torque ripple of one cycle per turn does.",
+        "-T sin(q - angle) = T sin(q + pi - angle), which is torque_ripple with amplitude T, cycles 1 and phase "
+        "pi - angle, on the one angle that motor and base share.",
+        "The rig has no drive, and gravity_tilt is named.",
+        "turn the rig so that its axis points another way: a tilt turns with it, a ripple does not", _tilt),
+)
+"""All known equivalences."""
+
+
+def standing(problem: Problem, causes: frozenset[Key], rig: Rig) -> list[Standing]:
+    """The equivalences of which the named causes are one side; ``rig`` has the causes in it, as fitted."""
+    released = tuple(float(angle) for angle, run in zip(problem.start, problem.runs, strict=True)
+                     if run.metadata.start != "equilibrium")
+    return standing_in(Setting(problem.rig, problem.clock is not None, released), causes, rig)
+
+
+def standing_in(setting: Setting, causes: frozenset[Key], rig: Rig) -> list[Standing]:
+    """As ``standing``, from what it needs of a problem."""
+    found = []
+    for equivalence in TABLE if causes else ():
+        try:
+            sides = equivalence.sides(causes, rig, setting)
+        except (UnknownUnitError, ValidationError):
+            continue  # an effect of the user's own in other units, or an other side beyond what an effect may be
+        if sides:
+            found.append(Standing(equivalence, sides))
+    return found
+
+
+def completed(odds: Odds, named: frozenset[Key], known: Sequence[Standing]) -> Odds:
+    """Odds in which every other side stands too, as probable as the prior says, but never more than the side named.
+
+    The data say the same of both, so only the prior is between them.
+    """
+    scores = {keys: math.log(max(p, 1e-300)) for keys, p in odds.sets}
+    for side in (side for row in known for side in row.sides):
+        equal = scores[named] + min(side.log_odds, 0.0)
+        scores[side.causes] = max(scores.get(side.causes, -math.inf), equal)
+    return normalised(scores) if known else odds
+
+
+def bound_rivals(named: frozenset[Key], cause: Key, known: Sequence[Standing]) -> set[Key]:
+    """Causes of the other sides that lack a cause: its rivals whatever the odds."""
+    return {key for row in known for side in row.sides if cause not in side.causes for key in side.causes - named}
+
+
+def rivals(odds: Odds, named: frozenset[Key], cause: Key, known: Sequence[Standing]) -> list[Rival]:
+    """The likeliest causes in place of a named one, and all that are so by an equivalence, however unlikely."""
+    others = odds.replacements(named, cause)
+    bound = bound_rivals(named, cause, known)
+    likely = sorted((key for key in others if key not in bound and others[key] >= LISTED), key=lambda k: -others[k])
+    found = [Rival(effect=k[0], at=k[1], probability=min(others[k], 1.0)) for k in likely[:LONGEST_LIST]]
+    found += [Rival(effect=k[0], at=k[1], probability=min(max(others.get(k, 0.0), FLOOR), 1.0)) for k in sorted(bound)]
+    return sorted(found, key=lambda rival: -rival.probability)
+
+
+def with_word(asked: NextExperiment | None, verdict: Verdict, odds: Odds, named: frozenset[Key],
+              known: Sequence[Standing]) -> NextExperiment | None:
+    """The next experiment where equivalences stand: what to look at, and no test if nothing else is left open."""
+    if not known or verdict not in ("ambiguous", "partly_explained"):
+        return asked
+    words = ". ".join(f"{row.equivalence.sentence} No test of this station can tell them apart: {row.equivalence.tells}"
+                      for row in known)
+    alike = {named, *(side.causes for row in known for side in row.sides)}
+    settled = verdict == "ambiguous" and sum(p for keys, p in odds.sets if keys in alike) >= SURE
+    if asked is None or settled:
+        return NextExperiment(test=None, why=words)
+    return NextExperiment(test=asked.test, why=f"{asked.why}. {words}")
+
+
+def as_markdown() -> str:
+    """The table for the docs."""
+    rows = ["| name | what is the same | when | what tells |", "| --- | --- | --- | --- |"]
+    rows += [f"| {e.name} | {e.sentence} | {e.applies} | {e.tells} |" for e in TABLE]
+    proofs = [f"**{e.name}.** {e.proof}" for e in TABLE]
+    return "\n".join(rows) + "\n\n" + "\n\n".join(proofs) + "\n"

@@ -1,0 +1,106 @@
+"""How well the runs determine each fitted value: determined, at a bound, traded off, not excited.
+
+The posterior precision is H + P^-1, H what the data say and P the prior covariance, so that the posterior covariance
+C = (H + P^-1)^-1 is the sum of what the noise leaves, C H C, and of what the prior alone holds, C P^-1 C.  For value i
+
+    share_i = (C P^-1 C)_ii / C_ii     of its variance is the prior's: doubling the prior's sigma adds that share of
+                                       it (to first order) to the value's own
+    alone_i = (P^-1)_ii / (C^-1)_ii    the same with all other values known
+
+A value whose share is at most half is determined.  Where the prior holds it even with all others known (alone), or
+where it moves with no other (correlations below MOVES), these runs do not excite it.  Else the runs see it, but only
+together with others: it is traded off, and so is a value that follows another (correlation beyond FOLLOWS), however
+well both are known.  So all constants that carry the unit of
+torque are traded off with each other: their ratios are determined, their common factor is the rig file's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import scipy.linalg
+
+from station.diagnose.problem import FARTHEST, Layout
+
+State = Literal["determined", "at_bound", "traded_off", "not_excited"]
+HALF = 0.5
+"""Share of the variance from which on the prior holds a value rather than the runs."""
+MOVES, FOLLOWS = 0.5, 0.95
+"""Correlations of two values from which on one moves with the other, and from which on it follows it."""
+
+
+@dataclass(frozen=True)
+class ValueState:
+    """State of one value; ``partner`` is the index of the value that it is traded off against most."""
+
+    state: State
+    partner: int | None = None
+    share: float = 0.0
+    """Of its variance, the prior's."""
+
+
+def states(covariance: np.ndarray, prior: np.ndarray, bounded: Collection[int] = ()) -> list[ValueState]:
+    """States of n values from their posterior and prior covariances (n, n), in the same coordinates.
+
+    ``bounded``: indices of the values that stand at a bound.
+    """
+    inverse = np.linalg.inv(prior)
+    variance = np.diag(covariance)
+    share = np.diag(covariance @ inverse @ covariance) / variance
+    alone = np.diag(inverse) / np.diag(np.linalg.inv(covariance))
+    correlation = np.abs(covariance / np.sqrt(np.outer(variance, variance))) - np.eye(len(variance))
+    found = []
+    for i, others in enumerate(correlation):
+        held, part = float(share[i]), float(min(share[i], 1.0))
+        if i in bounded:
+            found.append(ValueState("at_bound", None, part))
+        elif held > HALF and (alone[i] > HALF or others.max() < MOVES):
+            found.append(ValueState("not_excited", None, part))
+        elif held > HALF or others.max() > FOLLOWS:
+            found.append(ValueState("traded_off", int(np.argmax(others)), part))
+        else:
+            found.append(ValueState("determined", None, part))
+    return found
+
+
+def layout_states(layout: Layout, covariance: np.ndarray, x: np.ndarray) -> list[ValueState]:
+    """States of a hypothesis' parameters in the order of x, constants as logarithms.
+
+    ``covariance`` (p, p) is the posterior's in the coordinates of x, as ``Fit.covariance`` gives it.
+    """
+    n = len(layout.paths)
+    to_logs = scipy.linalg.block_diag(layout.root, np.eye(layout.size - n))
+    prior = to_logs @ np.diag(1.0 / layout.prior_precision) @ to_logs.T
+    bounded = [i for i, log in enumerate(layout.root @ x[:n]) if abs(log) >= FARTHEST]
+    for i, coordinate in enumerate(layout.coordinates):
+        info = coordinate.info
+        if not info.periodic and coordinate.to_value(x[n + i]) in (info.low, info.high):
+            bounded.append(n + i)
+    return states(to_logs @ covariance @ to_logs.T, prior, bounded)
+
+
+def value_names(layout: Layout) -> list[str]:
+    """Names of a hypothesis' parameters in the order of x: ``motor.gain``, ``coulomb_friction@motor.torque``."""
+    names = list(layout.paths)
+    for coordinate in layout.coordinates:
+        cls, at = layout.hypothesis.effects[coordinate.effect]
+        names.append(f"{cls.name}@{at}.{coordinate.name}")
+    names += [f"encoder zero {k + 2}" for k in range(layout.zeros)]
+    return names + [f"place in the gap, run {k + 1}" for k in range(layout.gap_places)]
+
+
+def trades(names: Sequence[str], found: Sequence[ValueState]) -> list[str]:
+    """One line per pair of values that are traded off, each pair once."""
+    seen: set[frozenset[int]] = set()
+    lines = []
+    for i, value in enumerate(found):
+        pair = frozenset((i, value.partner)) if value.partner is not None else None
+        if pair is not None and pair not in seen:
+            seen.add(pair)
+            lines.append(f"{names[i]} is traded off against {names[value.partner]}"
+                         + (f"; the rig file holds {100.0 * value.share:.0f} % of its variance"
+                            if value.share > HALF else ""))
+    return lines

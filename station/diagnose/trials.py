@@ -1,0 +1,136 @@
+"""Tests that the station could run next: which there are on a rig, what each asks of it, and which were run already."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from station.control.named import NAMED, SAMPLED_AT
+from station.control.references import defaults, reference_from_test
+from station.model.effects import effect_class
+from station.rig import Rig
+from station.runs.run import Run, RunMetadata
+
+P = NAMED["p"]
+SOFT = {**P, "gain": 1.0}
+OPEN = NAMED["open"]
+LEAD = NAMED["lead"]
+BOTH = NAMED["lead-accel"]
+USUAL_TURN = 1024.0
+"""Counts per revolution of the encoder that the amplitudes below are meant for; others scale with it."""
+CLOSED: tuple[tuple[dict[str, Any], dict[str, Any]], ...] = (
+    ({"kind": "step", "amplitude": 20}, P),
+    ({"kind": "step", "amplitude": 60}, P),
+    ({"kind": "step", "amplitude": 160}, P),
+    ({"kind": "step", "amplitude": 60}, LEAD),
+    ({"kind": "step", "amplitude": 200}, LEAD),
+    ({"kind": "step", "amplitude": 200}, BOTH),
+    ({"kind": "triangle", "amplitude": 40, "period": 2.0}, P),
+    ({"kind": "triangle", "amplitude": 150}, P),
+    ({"kind": "multisine", "amplitude": 60, "f1": 20.0, "tones": 24, "duration": 4.2}, SOFT),
+    ({"kind": "multisine", "amplitude": 150, "f1": 10.0, "tones": 16, "duration": 4.2}, P),
+    ({"kind": "sweep", "amplitude": 40, "f0": 0.3, "f1": 20.0, "duration": 6.4, "rest": 0.2, "spacing": "log"}, SOFT),
+)
+"""Tests of a closed loop; amplitudes in counts of the encoder."""
+DRIVEN: tuple[dict[str, Any], ...] = (
+    {"kind": "pulse", "amplitude": 0.2},
+    {"kind": "pulse", "amplitude": 0.5},
+    {"kind": "pulse", "amplitude": 1.0},
+    {"kind": "pulse_train", "amplitude": 0.35, "spacing": 0.4, "pulses": 8},
+    {"kind": "pulse_train", "amplitude": 0.9, "spacing": 0.4, "pulses": 8},
+    {"kind": "prbs", "amplitude": 0.5, "hold": 0.05, "bits": 6, "duration": 3.4},
+)
+"""Tests of an open loop; amplitudes as shares of the amplifier's limit."""
+ALIKE = 1.3
+"""Ratio of amplitudes up to which two tests of one kind and controller count as the same."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One test that could be run."""
+
+    test: dict[str, Any]
+    controller: dict[str, Any]
+
+    @property
+    def closed(self) -> bool:
+        """Whether a compensator acts."""
+        return self.controller["kind"] != "open"
+
+    @property
+    def amplitude(self) -> float:
+        """Counts, of the encoder or of the command."""
+        return abs(float(self.test["amplitude"]))
+
+    def sized(self, factor: float, most: float) -> Trial:
+        """The same test at another amplitude, whole counts, at most ``most``."""
+        amplitude = max(round(min(self.amplitude * factor, most)), 1)
+        return Trial({**self.test, "amplitude": float(amplitude)}, self.controller)
+
+    def as_run(self, rig: Rig) -> Run:
+        """The test as a run that has not happened: from encoder count 0, row i's command from row i - 1's readings."""
+        reference = reference_from_test(self.test, rig.sample_rate)
+        command = np.clip(reference, -rig.amplifier.limit, rig.amplifier.limit)
+        still = np.zeros_like(reference)
+        return Run("planned", np.arange(len(reference)) * rig.period, reference, command, still, still,
+                   RunMetadata(controller=self.controller, test=self.test, command_row=-1))
+
+    def complete(self) -> dict[str, Any]:
+        """Every key of the test that the station can be given, and the controller."""
+        keys = {**defaults(self.test["kind"]), **self.test}
+        return {"kind": self.test["kind"], **{k: v for k, v in keys.items() if k != "kind" and v is not None},
+                "controller": dict(self.controller)}
+
+    def repeats(self, runs: Iterable[Run]) -> bool:
+        """Whether one of the runs is this test, or nearly so."""
+        return any(self._like(run.metadata.test, run.metadata.controller) for run in runs)
+
+    def _like(self, test: Mapping[str, Any], controller: Mapping[str, Any]) -> bool:
+        if test.get("kind") != self.test["kind"] or _bare(controller) != _bare(self.controller):
+            return False
+        other = test.get("amplitude", defaults(self.test["kind"])["amplitude"])
+        if not isinstance(other, int | float) or other == 0:
+            return False
+        return abs(math.log(abs(other) / self.amplitude)) <= math.log(ALIKE)
+
+
+def _bare(controller: Mapping[str, Any]) -> dict[str, Any]:
+    """A controller without what each run measures anew; numbers as a log may have rounded them."""
+    return {key: round(value, 3) if isinstance(value, float) else value for key, value in controller.items()
+            if key not in ("accel_zero", "rounding", "accel_numerator", "accel_denominator")}
+
+
+def most(trial: Trial, rig: Rig) -> float:
+    """Largest amplitude that makes sense: the amplifier's limit, or a fifth of a turn of the reference."""
+    return 0.2 * rig.encoder.counts_per_revolution if trial.closed else rig.amplifier.limit
+
+
+def trials(rig: Rig, causes: Sequence[tuple[str, str]] = ()) -> list[Trial]:
+    """Tests worth a thought on this rig, and those that the effects among ``causes`` are best told by."""
+    scale = rig.encoder.counts_per_revolution / USUAL_TURN
+    found = []
+    for test, controller in CLOSED:
+        if controller is not BOTH or _has_both(rig):
+            found.append(Trial(test, controller).sized(scale, math.inf))
+    for test in DRIVEN:
+        found.append(Trial(test, OPEN).sized(rig.amplifier.limit, rig.amplifier.limit))
+    for name, _ in causes:
+        told = {} if name.startswith("parameter:") else dict(effect_class(name).experiment)
+        controller = NAMED.get(told.pop("controller", "open" if told.get("kind") in ("pulse", "pulse_train") else "p"))
+        if told and controller is not None and (controller is not BOTH or _has_both(rig)):
+            trial = Trial({"amplitude": defaults(told["kind"])["amplitude"], **told}, controller)
+            found.append(trial.sized(scale if trial.closed else 1.0, most(trial, rig)))
+    usable = []
+    for trial in found:
+        top = max(trial.test.get("f0", 0.0), trial.test.get("f1", 0.0))
+        if top < 0.4 * rig.sample_rate and trial not in usable:
+            usable.append(trial)
+    return usable
+
+
+def _has_both(rig: Rig) -> bool:
+    return rig.accelerometer is not None and rig.sample_rate == SAMPLED_AT

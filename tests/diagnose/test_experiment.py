@@ -1,0 +1,219 @@
+"""The next experiment: what separates rivals, what a refit absorbs, what shows, and what the station can run."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from station.control.compensators import Compensator
+from station.control.named import NAMED
+from station.control.references import reference_from_test
+from station.diagnose.experiment import (
+    SHOWS,
+    Belief,
+    Planner,
+    Worth,
+    _telling,
+    absorbed,
+    between,
+    first_test,
+    showing,
+)
+from station.diagnose.result import Prediction
+from station.diagnose.trials import LEAD, OPEN, P, Trial, trials
+from station.model.effects import effect_class
+from station.model.simulate import build
+from station.rig import Rig, load_rig
+from station.runs.run import Run, RunMetadata
+
+SFLR = load_rig("sflr")
+AXIS = Rig.from_toml("""
+name = "axis"
+sample_rate = 1000.0
+[amplifier]
+limit = 100.0
+[motor]
+inertia = 0.001
+damping = 0.02
+gain = 0.01
+[encoder]
+counts_per_revolution = 4096
+""", source="axis")
+SIGMA = np.array([0.3, 1.0])
+PATHS = ["motor.damping", "drive.stiffness"]
+STEPS = [Trial({"kind": "step", "amplitude": 20.0}, P), Trial({"kind": "step", "amplitude": 160.0}, P)]
+
+
+@pytest.fixture(scope="module")
+def planner():
+    with ThreadPoolExecutor(1) as pool:
+        yield Planner(SFLR, SIGMA, pool)
+
+
+def hypothesis(words: str, *effects, sigma: float = 0.01, shift: float = 0.0, paths=PATHS) -> Belief:
+    """sflr with effects, some constants known to ``sigma`` (of their logarithm) and off by ``shift``."""
+    nominal = np.array([SFLR.constants()[path] for path in paths])
+
+    def model(x):
+        rig = SFLR.with_constants(dict(zip(paths, nominal * np.exp(x), strict=True)))
+        return build(rig.with_effects(effects), 0.1, 1e-3)
+    return Belief(words, np.full(len(paths), shift), sigma * np.eye(len(paths)), model)
+
+
+def effect(name: str, at: str, **values: float):
+    return effect_class(name)(at=at, **values)
+
+
+def test_what_a_refit_may_do_is_taken_out_by_its_own_covariance():
+    rng = np.random.default_rng(1)
+    spread, change = rng.normal(size=(4, 30)), rng.normal(size=(3, 30))
+    full = np.linalg.inv(np.eye(30) + spread.T @ spread)
+    assert np.allclose(absorbed(change, spread), change @ full)
+    assert np.allclose(absorbed(change[0], spread), change[0] @ full)
+    wide = 1e4 * spread[:1]
+    assert spread[0] @ absorbed(spread[0], wide) < 1e-6 < 1.0 < change[0] @ absorbed(change[0], spread[:0])
+
+
+def test_a_difference_that_refitted_constants_absorb_separates_nothing(planner):
+    """Two rigs whose constants are 3 % apart: told apart where they are known to 0.01 %, not where known to 10 %."""
+    sharp, wide = (between(planner, [hypothesis("one", sigma=s), hypothesis("other", sigma=s, shift=0.03)],
+                           [0.5, 0.5])(STEPS) for s in (1e-4, 0.1))
+    assert sharp[1].decides and sharp[1].value > 0.99
+    assert not any(worth.decides for worth in wide) and all(worth.value < 0.3 for worth in wide)
+
+
+def test_structure_is_told_apart_where_constants_are_not(planner):
+    friction = hypothesis("friction", effect("coulomb_friction", "motor", torque=0.03), sigma=0.1)
+    dead = hypothesis("dead zone", effect("dead_zone", "amplifier", width=3.0), sigma=0.1)
+    assert all(worth.decides for worth in between(planner, [friction, dead], [0.5, 0.5])(STEPS))
+
+
+def test_the_test_is_chosen_for_the_rivals_that_are_likely(planner):
+    """A saturation shows in the large step alone, a small dead zone better in the small one's slow end."""
+    plain = hypothesis("plain", sigma=0.03)
+    clipped = hypothesis("clipped", effect("actuator_saturation", "amplifier", limit=120.0), sigma=0.03)
+    small, large = between(planner, [plain, clipped], [0.5, 0.5])(STEPS)
+    assert small.value < 0.01 < 0.9 < large.value
+    dead = hypothesis("dead", effect("dead_zone", "amplifier", width=2.0), sigma=0.03)
+    likely = between(planner, [plain, dead, clipped], [0.6, 0.4, 1e-6])(STEPS)
+    pair = between(planner, [plain, dead], [0.6, 0.4])(STEPS)
+    assert [worth.value for worth in likely] == pytest.approx([worth.value for worth in pair], rel=1e-3)
+
+
+def test_what_is_predicted_of_a_choice_is_what_the_two_rivals_do(planner):
+    plain = hypothesis("plain")
+    clipped = hypothesis("clipped", effect("actuator_saturation", "amplifier", limit=120.0))
+    found = between(planner, [plain, clipped], [0.5, 0.5])(STEPS)[1].prediction
+    assert found.names == ("plain", "clipped") and len(found.t) == len(found.encoder[0]) == len(found.accel[1])
+    assert found.test["controller"] == P and found.test["duration"] == 2.0
+    assert np.max(np.abs(found.encoder[0] - found.encoder[1])) > 5.0
+
+
+def test_effects_that_look_alike_count_but_once(planner):
+    base = hypothesis("plain", sigma=0.03)
+    delay = ("delay", effect("input_delay", "amplifier", time=0.003), 0.0)
+    dead = ("dead zone", effect("dead_zone", "amplifier", width=6.0), 0.0)
+    once, twice, both = (showing(planner, base, some)(STEPS[1:])[0].value
+                         for some in ([delay], [delay, delay], [delay, dead]))
+    assert once < twice < once + np.log(2.0) + 1e-6 < both
+
+
+def test_what_was_seen_before_is_worth_less(planner):
+    base, dead = hypothesis("plain", sigma=0.03), effect("dead_zone", "amplifier", width=6.0)
+    fresh, seen = (showing(planner, base, [("dead zone", dead, old)])(STEPS)[0].value for old in (0.0, 100.0 * SHOWS))
+    assert seen < 0.3 * fresh
+
+
+def worth(trial: Trial, value: float, cost: float) -> Worth:
+    return Worth(trial, value, cost, "", Prediction({}, np.zeros(1), np.zeros(1), ("", ""), (np.zeros(1),) * 2, None),
+                 True)
+
+
+def test_of_tests_that_are_worth_the_same_the_gentler_is_taken(planner):
+    gentle, hard = STEPS
+    table = {str(gentle.test): (0.95, 0.5), str(hard.test): (1.0, 2.0)}
+
+    def judge(tried):
+        return [worth(trial, *table.get(str(trial.test), (0.1, 9.0))) for trial in tried]
+    assert planner.best(judge, [gentle, hard]).trial == gentle
+    table[str(gentle.test)] = (0.8, 0.5)
+    assert planner.best(judge, [gentle, hard]).trial == hard
+    assert planner.best(lambda tried: [], [gentle]) is None
+
+
+def made(test: dict, controller: dict) -> Run:
+    zeros = np.zeros(10)
+    return Run("run", np.arange(10) / 500.0, zeros, zeros, zeros, zeros,
+               RunMetadata(test=test, controller=controller))
+
+
+def test_a_test_that_was_run_is_not_run_again_unless_by_a_margin(planner):
+    trial = Trial({"kind": "step", "amplitude": 100.0}, LEAD)
+    again = made({"kind": "step", "amplitude": -110, "both": True}, {**LEAD, "zero": 31.4159, "accel_zero": 3.0})
+    assert trial.repeats([again])
+    for other in (made({"kind": "step", "amplitude": 40}, LEAD), made({"kind": "step", "amplitude": 100}, P),
+                  made({"kind": "pulse", "amplitude": 100}, OPEN), made({}, {})):
+        assert not trial.repeats([other])
+    done = Planner(SFLR, SIGMA, planner.pool, [again])
+    assert done.worth(trial, 1.0) < done.worth(STEPS[0], 0.6) < done.worth(trial, 1.3)
+
+
+@pytest.mark.parametrize("rig", [SFLR, AXIS], ids=lambda rig: rig.name)
+def test_every_test_is_one_that_the_station_can_run(rig):
+    every = trials(rig, [("gravity_tilt", "base"), ("input_delay", "amplifier"), ("parameter:motor.gain", "")])
+    assert len(every) > 10
+    for trial in every:
+        asked = trial.complete()
+        controller = asked.pop("controller")
+        reference = reference_from_test(asked, rig.sample_rate)
+        Compensator.from_spec(controller, rig.sample_rate, rig.amplifier.limit)
+        assert trial.closed or np.max(np.abs(reference)) <= rig.amplifier.limit
+        assert asked["amplitude"] == round(asked["amplitude"]) and {"duration", "rest"} <= asked.keys()
+        assert controller["kind"] != "lead_accel" or rig.accelerometer is not None
+
+
+def test_a_test_that_would_throw_the_rig_about_is_not_chosen(planner):
+    calm, wild = (Trial({"kind": "step", "amplitude": 60.0}, {**P, "gain": gain}) for gain in (2.0, 400.0))
+    belief = hypothesis("plain")
+    assert [planner.behaves(trial, planner.forecasts(belief, [trial.as_run(SFLR)])[0]) for trial in (calm, wild)] == \
+        [True, False]
+    far = Trial({"kind": "pulse", "amplitude": 200.0, "width": 1.0}, OPEN)
+    assert not planner.behaves(far, planner.forecasts(belief, [far.as_run(SFLR)])[0])
+
+
+@pytest.mark.parametrize("rig", [SFLR, AXIS], ids=lambda rig: rig.name)
+def test_the_first_test_shows_most_of_the_catalogue_and_is_complete(rig):
+    choice = first_test(rig)
+    test = dict(choice.next.test)
+    assert test.pop("controller")["kind"] in {spec["kind"] for spec in NAMED.values()}
+    reference_from_test(test, rig.sample_rate)
+    shown, all_ = (int(word) for word in choice.next.why.split() if word.isdigit())
+    assert shown >= 0.75 * all_
+    assert (choice.prediction.accel is None) == (rig.accelerometer is None)
+    assert choice.plan == choice.next
+
+
+def test_a_rig_without_any_bearable_test_is_told_so():
+    wild = replace_gain(AXIS, 1e5)
+    assert first_test(wild).next.test is None
+
+
+def replace_gain(rig: Rig, factor: float) -> Rig:
+    return rig.model_copy(update={"motor": rig.motor.model_copy(update={"gain": factor * rig.motor.gain})})
+
+
+def test_planned_runs_carry_the_loop_as_the_station_runs_it():
+    run = STEPS[0].as_run(SFLR)
+    assert run.metadata.command_row == -1 and run.metadata.controller == P
+    hard = replace(STEPS[0], test={"kind": "pulse", "amplitude": 900.0}, controller=OPEN).as_run(SFLR)
+    assert np.max(np.abs(hard.command)) == SFLR.amplifier.limit
+
+
+def test_the_words_of_the_effects_say_what_to_look_for():
+    """Those of every effect that is named; a constant, or nothing, has none."""
+    said = _telling(frozenset([("dead_zone", "amplifier"), ("parameter:tip.mass", "")]))
+    assert said == f" (dead zone: {effect_class('dead_zone').telling})" and "Coulomb friction" in said
+    assert _telling(frozenset()) == _telling(frozenset([("parameter:tip.mass", "")])) == ""

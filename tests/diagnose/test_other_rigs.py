@@ -1,0 +1,111 @@
+"""Diagnosis on rigs that lack parts, down to a rigid axis with an encoder: hidden effects by the independent generator.
+
+Four runs each, quick effort, seeds 8000 to 8049; the method was not developed on them.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from station.diagnose.candidates import candidates
+from station.diagnose.diagnose import diagnose
+from station.diagnose.missing import missing_torque
+from station.diagnose.result import DiagnosisResult
+from station.errors import UsageError
+from station.model.effects import effect_class
+from station.rig import Rig
+from station.view.recording import write_recording
+from station.view.report import write_report
+from tests.truth import RIGID_AXIS, SFLR, TWO_MASS, Case, effect_names, make_case
+
+SEVERITY = (400.0, 1e5)
+TABLES = {"axis": RIGID_AXIS, "two-mass": TWO_MASS,
+          "no-accelerometer": {key: value for key, value in SFLR.items() if key != "accelerometer"}}
+HIDDEN = [("axis", 8001, "coulomb_friction", "motor"), ("axis", 8002, "dead_zone", "amplifier"),
+          ("two-mass", 8012, "gain_asymmetry", "amplifier"),
+          ("no-accelerometer", 8000, "coulomb_friction", "motor")]
+
+
+@cache
+def case(shape: str, seed: int, *effects: tuple[str, str]) -> Case:
+    """Four runs of a hidden rig."""
+    return make_case(seed, list(effects), nominal=TABLES[shape], count=4, band=SEVERITY)
+
+
+@cache
+def found(shape: str, seed: int, *effects: tuple[str, str]) -> DiagnosisResult:
+    """What is said of them."""
+    return diagnose(Rig.model_validate(TABLES[shape]), case(shape, seed, *effects).runs, effort="quick")
+
+
+@pytest.mark.parametrize(("shape", "seed", "name", "at"), HIDDEN)
+def test_a_hidden_effect_is_named(shape, seed, name, at):
+    result = found(shape, seed, (name, at))
+    first = result.diagnosis.causes[0]
+    assert (first.effect, first.at) == (name, at) and result.diagnosis.verdict == "explained"
+    gain = result.diagnosis.gain
+    assert gain.accel is None and gain.encoder.nrmse_after < 0.7 * gain.encoder.nrmse_before
+    assert gain.explained_fraction > 0.8
+    picture = result.evidence[0]
+    assert picture.title.endswith(effect_class(name).title) and picture.law_y is not None
+    assert Rig.from_toml(result.extended_rig.to_toml()).effects == result.extended_rig.effects
+
+
+@pytest.mark.parametrize(("shape", "seed"), [("axis", 8005), ("two-mass", 8010)])
+def test_a_clean_rig_is_not_accused(shape, seed):
+    result = found(shape, seed)
+    assert result.diagnosis.verdict == "nothing_missing" and not result.diagnosis.causes
+    assert {picture.kind for picture in result.evidence} >= {"time", "speed", "angle", "command", "spectrum"}
+
+
+def test_late_command_and_late_encoder_are_the_same_on_an_axis_with_an_encoder_alone():
+    """No other sensor tells on which side of the rig the delay is."""
+    diagnosis = found("axis", 8003, ("input_delay", "amplifier")).diagnosis
+    delays = {("input_delay", "amplifier"), ("encoder_delay", "encoder")}
+    first = diagnosis.causes[0]
+    assert diagnosis.verdict == "ambiguous" and (first.effect, first.at) in delays
+    assert {(rival.effect, rival.at) for rival in first.rivals} & delays
+    assert diagnosis.next_experiment is not None and diagnosis.next_experiment.test is None
+
+
+def test_report_and_recording_of_a_rig_with_an_encoder_alone(tmp_path):
+    for name, result in (("named", found("axis", 8001, ("coulomb_friction", "motor"))), ("clean", found("axis", 8005))):
+        write_report(result, tmp_path / f"{name}.html")
+        page = (tmp_path / f"{name}.html").read_text(encoding="utf-8")
+        assert "<html" in page and "cceleration" not in page
+        write_recording(tmp_path / f"{name}.rrd", result.comparisons, result.rig)
+        assert (tmp_path / f"{name}.rrd").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("shape", TABLES)
+def test_candidates_are_what_the_rig_can_have(shape):
+    """Without a drive motor and base are one part: one place for what may stand at either."""
+    rig = Rig.model_validate(TABLES[shape])
+    keys = {candidate.key for candidate in candidates(rig)}
+    twice = {("coulomb_friction", "base")} if rig.drive is None else set()
+    assert {key for key in keys if key[1]} == set(effect_names(TABLES[shape])) - twice
+    assert {key[0] for key in keys if not key[1]} == {f"parameter:{path}" for path in rig.constants()}
+
+
+@pytest.mark.parametrize(("shape", "places"), [("axis", {"motor", "base"}), ("two-mass", {"motor", "base", "drive"}),
+                                               ("no-accelerometer", {"motor", "base", "drive", "clamp", "tip"})])
+def test_torque_missing_where_the_rig_has_a_place_for_it(shape, places):
+    """A friction that nobody assumed shows at the motor with its own size and sign; other places are refused."""
+    hidden = case("axis", 8001, ("coulomb_friction", "motor")) if shape == "axis" else case(shape, 8010)
+    rig = Rig.model_validate(hidden.truth["constants"])
+    for at in ("motor", "base", "drive", "clamp", "tip"):
+        if at not in places:
+            with pytest.raises(UsageError, match="no such place"):
+                missing_torque(rig, hidden.runs[0], at)
+            continue
+        estimate = missing_torque(rig, hidden.runs[0], at)
+        assert np.all(np.isfinite(estimate.torque)) and np.all(estimate.sigma >= 0.0)
+    if shape == "axis":
+        torque = hidden.truth["causes"][0]["torque"]
+        estimate = missing_torque(rig, hidden.runs[0])
+        moving = np.abs(estimate.speed) > 0.3 * np.abs(estimate.speed).max()
+        against = -np.sign(estimate.speed[moving]) * estimate.torque[moving]
+        assert np.median(against) == pytest.approx(torque, rel=0.2)
