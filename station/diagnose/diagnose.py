@@ -25,7 +25,7 @@ from station.diagnose.result import (
     Verdict,
     Wrong,
 )
-from station.diagnose.search import EFFORTS, Search, explore
+from station.diagnose.search import EFFORTS, Search, explore, refined
 from station.diagnose.unseen import unseen_gain
 from station.errors import UsageError, WorkError
 from station.model.simulate import Simulation
@@ -60,7 +60,7 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     if search.misfit:
         found_odds = _odds_unseen(search, found_odds)
     best_keys = found_odds.sets[0][0]
-    best = search.fits[best_keys]
+    best = refined(problem, search.fits[best_keys])
     zero = np.zeros(nothing.layout.size)
     start, offset = settle(problem, nothing.layout, zero, problem.start, problem.offset)
     before = simulate_all(problem, nothing.layout, zero, start, offset)

@@ -10,6 +10,7 @@ import numpy as np
 from station.diagnose.estimate import Fit
 from station.diagnose.result import Estimate
 from station.diagnose.search import Search
+from station.diagnose.states import layout_states
 
 Key = tuple[str, str]
 UNITS = {"motor.inertia": "kg m^2", "motor.damping": "N m s/rad", "motor.gain": "N m/count",
@@ -86,42 +87,27 @@ def estimates(search: Search, found: Fit) -> tuple[dict[Key, dict[str, Estimate]
     temperature, layout = search.temperature(), found.layout
     covariance = found.covariance(temperature)
     deviations = np.sqrt(np.diag(covariance))
-    correlation = covariance / np.outer(deviations, deviations)
+    found_states = layout_states(layout, covariance, found.x)
     n = len(layout.paths)
     nominal = search.problem.rig.constants()
     log_sd = np.sqrt(np.diag(layout.root @ covariance[:n, :n] @ layout.root.T))
-    prior_sd = np.sqrt(np.diag(layout.root @ layout.root.T))
     constants = {}
     for i, path in enumerate(layout.paths):
         value, spread = nominal[path] * math.exp(found.logs[i]), math.exp(1.96 * log_sd[i])
-        state = "not_excited" if log_sd[i] > 0.8 * prior_sd[i] else "determined"
         ends = sorted((value / spread, value * spread))
-        constants[path] = Estimate(value=value, low=ends[0], high=ends[1], unit=UNITS[path], state=state)
+        constants[path] = Estimate(value=value, low=ends[0], high=ends[1], unit=UNITS[path],
+                                   state=found_states[i].state)
     causes: dict[Key, dict[str, Estimate]] = {}
     for i, coordinate in enumerate(layout.coordinates):
         k = n + i
         cls, at = layout.hypothesis.effects[coordinate.effect]
         low, value, high = (found.x[k] + s * 1.96 * deviations[k] for s in (-1.0, 0.0, 1.0))
-        if coordinate.info.periodic:
-            ends = (low * coordinate.scale, coordinate.to_value(value), high * coordinate.scale)
-            if ends[2] - ends[0] >= 2.0 * math.pi:
-                ends = (-math.pi, ends[1], math.pi)
-            else:
-                ends = (coordinate.to_value(low), ends[1], coordinate.to_value(high))
-        else:
-            ends = (coordinate.to_value(low), coordinate.to_value(value), coordinate.to_value(high))
-        others = np.delete(np.abs(correlation[k]), k)
-        info = coordinate.info
-        if deviations[k] > 0.8 / math.sqrt(layout.prior_precision[k]):
-            state = "not_excited"
-        elif not info.periodic and ends[1] in (info.low, info.high):
-            state = "at_bound"
-        elif others.size and np.max(others) > 0.95:
-            state = "traded_off"
-        else:
-            state = "determined"
+        ends = (coordinate.to_value(low), coordinate.to_value(value), coordinate.to_value(high))
+        if coordinate.info.periodic and (high - low) * coordinate.scale >= 2.0 * math.pi:
+            ends = (-math.pi, ends[1], math.pi)
         causes.setdefault((cls.name, at), {})[coordinate.name] = Estimate(
-            value=float(ends[1]), low=float(ends[0]), high=float(ends[2]), unit=info.unit, state=state)
+            value=float(ends[1]), low=float(ends[0]), high=float(ends[2]), unit=coordinate.info.unit,
+            state=found_states[k].state)
     for path in layout.hypothesis.constants:
         causes[(f"parameter:{path}", "")] = {"value": constants[path]}
     return causes, constants

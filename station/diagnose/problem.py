@@ -26,7 +26,10 @@ from station.rig import Rig
 from station.runs.run import Run
 
 TRUNCATION, LONGEST, LONGEST_GAP = 0.1, 1e-3, 5e-4
-"""Accuracy of the simulations within a fit (counts, s, s where a gap closes with a blow): below 0.1 count."""
+"""Accuracy of the simulations in a search: modes left out (counts), longest step (s), and that where a gap closes with
+a blow (s); below 0.1 count."""
+QUICK, FINE = (TRUNCATION, LONGEST, LONGEST_GAP), (0.01, 5e-4, 2e-4)
+"""The same, and that of the simulations from which values are stated."""
 ELEMENTS = 8
 """Fewest beam elements of the fits: with fewer the mesh's own error would look like physics."""
 FARTHEST = 8.0
@@ -125,7 +128,7 @@ class Problem:
         self.scale = [np.sqrt(share) / self.sigma[: self.channels, None] for share in self.share]
         self.temper = np.ones((len(self.runs), self.channels))
         self.chatter = [np.zeros_like(share) for share in self.share]
-        self.by_command = True
+        self.by_command, self.accuracy = True, QUICK
         self._driven = [_driven(r) for r in self.runs]
         self.start = np.array([self._start_angle(r) for r in self.runs])
         self.offset = np.array([self._offset(r) for r in self.runs])
@@ -273,7 +276,8 @@ class Problem:
 
     def model(self, layout: Layout, x: np.ndarray) -> Model:
         """The rig that a parameter vector describes, made ready for the many simulations of a fit."""
-        return build(self.rig_of(layout, x), TRUNCATION, LONGEST_GAP if layout.gap_places else LONGEST)
+        truncation, longest, longest_gap = self.accuracy
+        return build(self.rig_of(layout, x), truncation, longest_gap if layout.gap_places else longest)
 
     def simulate_run(self, model: Model, layout: Layout, x: np.ndarray, index: int, start: float,
                      offset: float, rounding: bool | Literal["inside"] = False, by_command: bool = False) -> Simulation:

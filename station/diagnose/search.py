@@ -16,7 +16,7 @@ import numpy as np
 
 from station.diagnose.candidates import Candidate, candidates
 from station.diagnose.estimate import Fit, eliminate, fit
-from station.diagnose.problem import MISFIT, Hypothesis, Layout, Problem
+from station.diagnose.problem import FINE, MISFIT, QUICK, Hypothesis, Layout, Problem
 from station.model.effects import Stage
 
 LOG_PRIOR = -10.0
@@ -380,6 +380,16 @@ def look_back(search: Search, found: Fit) -> None:
     for smaller in problem.pool.map(without, range(len(causes))):
         if smaller is not None:
             search.keep(smaller)
+
+
+def refined(problem: Problem, found: Fit) -> Fit:
+    """A fit brought to its very end with finer simulations: values are stated from it."""
+    problem.accuracy = FINE
+    try:
+        return fit(problem, found.layout, found.x, found.start, found.offset, iterations=12, tolerance=0.02,
+                   jacobian=found.jacobian_at(problem.scale))
+    finally:
+        problem.accuracy = QUICK
 
 
 def recalibrate(search: Search, best: Fit) -> Fit:
