@@ -27,8 +27,12 @@ PLACE_STEP = 0.02
 """Finite-difference step of the motor's place in a gap (artanh of its share)."""
 OFFSET_STEP = 0.1
 """Finite-difference step of the accelerometer's offset, counts."""
-POOR = 0.2
+POOR = 0.5
 """Share of the predicted gain below which derivatives are computed afresh."""
+CORRECTIONS, STIFF = 3, 100.0
+"""Steps back to a valley's floor, and the information (1/prior sigma^2) below which they leave a direction alone."""
+FAR = 100.0
+"""A step that multiplies chi^2 by more is not worth correcting."""
 SETTLED = 0.3
 """Squared distance, posterior sigmas, over which derivatives are taken to stay."""
 
@@ -114,6 +118,146 @@ def eliminate(problem: Problem, fit_start: np.ndarray, fit_offset: np.ndarray, r
     return np.array(normal), np.array(gradient), back
 
 
+@dataclass(eq=False)
+class _Point:
+    """One place that has been simulated."""
+
+    x: np.ndarray
+    start: np.ndarray
+    offset: np.ndarray
+    outputs: list[np.ndarray]
+    residuals: list[np.ndarray]
+    costs: np.ndarray
+    penalty: np.ndarray
+    data: float
+    """chi^2 with the nuisances' priors, weighted by run."""
+    objective: float
+
+
+class _Descent:
+    """What a fit needs of a problem, a layout and the weights of the runs."""
+
+    def __init__(self, problem: Problem, layout: Layout, weights: np.ndarray, parallel: bool) -> None:
+        self.problem, self.layout, self.weights, self.parallel = problem, layout, weights, parallel
+        self.scaled = [m * s for m, s in zip(problem.measured, problem.scale, strict=True)]
+        self.nuisance_prior, self.prior = nuisance_priors(problem), layout.prior_precision
+        self.samples = float(weights @ problem.samples)
+        self.count, self.shared = layout.size, layout.size - layout.gap_places
+        self.angle = 0.5 * problem.rig.angle_per_count
+        places = [-1] if layout.gap_places else []
+        self.everything = [*range(self.shared), *places, *range(self.count, self.count + problem.channels)]
+        self.effects = [*range(len(layout.paths), self.shared), *places]
+
+    def at(self, x: np.ndarray, start: np.ndarray, offset: np.ndarray) -> _Point:
+        """Simulate, and judge."""
+        problem = self.problem
+        outputs = problem.outputs(self.layout, x, start, offset, parallel=self.parallel)
+        residuals = [m - y for m, y in zip(self.scaled, outputs, strict=True)]
+        with np.errstate(over="ignore", invalid="ignore"):
+            costs = np.array([np.sum(e * e, axis=1) for e in residuals])
+        away = np.stack([start - problem.start, offset - problem.offset])[: problem.channels]
+        penalty = self.nuisance_prior @ away**2
+        data = float(self.weights @ (costs.sum(axis=1) + penalty))
+        if not data < HUGE:
+            data = total = np.inf
+        else:
+            total = data if data <= self.samples else self.samples * (1.0 + np.log(data / self.samples))
+            total += float(self.prior @ (x - self.layout.prior_mean) ** 2)
+        return _Point(x, start, offset, outputs, residuals, costs, penalty, data, total)
+
+    def eliminated(self, here: _Point, jac: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, list[tuple]]:
+        """Normal matrices and gradients at a point; see ``eliminate``."""
+        return eliminate(self.problem, here.start, here.offset, here.residuals, jac, self.count)
+
+    def columns(self, here: _Point, which: list[int], spread: np.ndarray) -> list[np.ndarray]:
+        """Changes of the outputs by steps along columns ``which`` of ``spread``, per run stacked.
+
+        count: the starting angle; count + 1: the offset; -1: the motor's places in the gaps, one row per run.
+        Sticking makes outputs kinked; a difference over the width that the data leave open is the one that counts.
+        """
+        def moved(k: int) -> list[np.ndarray]:
+            x, start, offset = here.x.copy(), here.start, here.offset
+            if k < 0:
+                x[self.shared:] += PLACE_STEP
+            elif k < self.count:
+                x += spread[:, k]
+            elif k == self.count:
+                start = start + self.angle
+            else:
+                offset = offset + OFFSET_STEP
+            return self.problem.outputs(self.layout, x, start, offset)
+
+        found = list((self.problem.pool.map if self.parallel else map)(moved, which))
+        rows: list[np.ndarray] = []
+        for r, before in enumerate(here.outputs):
+            changes = []
+            for k, y in zip(which, found, strict=True):
+                change = (y[r] - before).ravel()
+                changes += [change] if k >= 0 else [change * (place == r) for place in range(self.layout.gap_places)]
+            rows.append(np.stack(changes))
+        return rows
+
+    def afresh(self, here: _Point, spread: np.ndarray) -> list[np.ndarray]:
+        """The whole Jacobian, from steps along the columns of ``spread``."""
+        found = self.columns(here, self.everything, spread)
+        shared, count = self.shared, self.count
+        for changes in found:
+            changes[:shared] = np.linalg.solve(spread[:shared, :shared].T, changes[:shared])
+            changes[shared:count] /= PLACE_STEP
+            changes[count:] /= np.array([self.angle, OFFSET_STEP])[: self.problem.channels, None]
+        return found
+
+    def renew_effects(self, here: _Point, jac: list[np.ndarray]) -> None:
+        """The effects' own columns of the Jacobian, in place."""
+        constants, shared, count = len(self.layout.paths), self.shared, self.count
+        for j, new in zip(jac, self.columns(here, self.effects, STEP * np.eye(count)), strict=True):
+            j[constants:shared] = new[: shared - constants] / STEP
+            j[shared:count] = new[shared - constants:] / PLACE_STEP
+
+    def axes(self, normal: np.ndarray, scale: float) -> np.ndarray:
+        """The posterior's own axes and widths."""
+        matrix = np.tensordot(self.weights, normal, 1) / scale + np.diag(self.prior)
+        values, vectors = np.linalg.eigh(matrix[: self.shared, : self.shared])
+        found = vectors / np.sqrt(np.maximum(values, 1e-12))
+        spread = np.zeros((self.count, self.count))
+        spread[: self.shared, : self.shared] = found * np.minimum(
+            1.0, 0.5 / np.maximum(np.max(np.abs(found), axis=0), 1e-300))
+        return spread
+
+    def step(self, here: _Point, damped: np.ndarray, force: np.ndarray, back: list[tuple]) -> _Point | None:
+        """The point one damped Gauss-Newton step away."""
+        step = np.linalg.solve(damped, force)
+        if not np.all(np.isfinite(step)):
+            return None
+        step *= min(1.0, LONGEST / max(np.max(np.abs(step)), 1e-300))
+        nuisance = np.array([b[0] - b[1] @ step for b in back])
+        start = self.problem.near_reading(here.start + nuisance[:, 0])
+        offset = here.offset + nuisance[:, 1] if self.problem.has_accel else here.offset
+        return self.at(here.x + step, start, offset)
+
+    def lower(self, here: _Point, jac: list[np.ndarray], matrix: np.ndarray, force: np.ndarray, back: list[tuple],
+              scale: float, damping: float) -> tuple[_Point | None, float]:
+        """A point with a lower objective, if one is found, and the damping that led there.
+
+        A step along a narrow bent valley ends on its side.  Up to CORRECTIONS further steps with the same derivatives,
+        across the valley alone (STIFF holds what the data hardly see), bring it back to the floor before it is judged.
+        """
+        stiff = matrix + STIFF * np.eye(self.count)
+        for _ in range(5):
+            damped = matrix + damping * np.diag(np.diag(matrix))
+            trial = self.step(here, damped, force, back)
+            for _ in range(CORRECTIONS):
+                if trial is None or trial.objective < here.objective or trial.data > FAR * here.data:
+                    break
+                _, gradient, ahead = self.eliminated(trial, jac)
+                pull = self.weights @ gradient / scale - self.prior * (trial.x - self.layout.prior_mean)
+                trial = self.step(trial, stiff, pull, ahead)
+            if trial is not None and trial.objective < here.objective:
+                return trial, damping
+            damping *= 10.0
+        return None, damping
+
+
 def fit(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray | None = None,
         offset: np.ndarray | None = None, *, iterations: int = 25, tolerance: float = 0.1,
         weights: np.ndarray | None = None, jacobian: list[np.ndarray] | None = None, parallel: bool = True,
@@ -125,134 +269,50 @@ def fit(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray | Non
     A step that gains less than the share ``poor`` of what was predicted asks for fresh derivatives (infinite: always).
     ``parallel`` spreads the work over the problem's threads; not from one of them.
     """
-    start = problem.start.copy() if start is None else start.copy()
-    offset = problem.offset.copy() if offset is None else offset.copy()
-    weights = np.ones(len(problem.runs)) if weights is None else weights
-    scaled = [m * s for m, s in zip(problem.measured, problem.scale, strict=True)]
-    nuisance_prior, prior = nuisance_priors(problem), layout.prior_precision
-    samples, count, constants = float(weights @ problem.samples), layout.size, len(layout.paths)
-    run_map = problem.pool.map if parallel else map
-    angle = 0.5 * problem.rig.angle_per_count
-
-    def look(x: np.ndarray, start: np.ndarray, offset: np.ndarray):
-        outputs = problem.outputs(layout, x, start, offset, parallel=parallel)
-        residuals = [m - y for m, y in zip(scaled, outputs, strict=True)]
-        with np.errstate(over="ignore", invalid="ignore"):
-            costs = np.array([np.sum(e * e, axis=1) for e in residuals])
-        away = np.stack([start - problem.start, offset - problem.offset])[: problem.channels]
-        penalty = nuisance_prior @ away**2
-        data = float(weights @ (costs.sum(axis=1) + penalty))
-        if not data < HUGE:
-            return np.inf, np.inf, outputs, residuals, costs, penalty
-        total = data if data <= samples else samples * (1.0 + np.log(data / samples))
-        return total + float(prior @ (x - layout.prior_mean) ** 2), data, outputs, residuals, costs, penalty
-
-    def columns(which: list[int], spread: np.ndarray) -> list[np.ndarray]:
-        """Changes of the outputs by steps along columns ``which`` of ``spread``, per run stacked.
-
-        count: the starting angle; count + 1: the offset; -1: the motor's places in the gaps, one row per run.
-        Sticking makes outputs kinked; a difference over the width that the data leave open is the one that counts.
-        """
-        def moved(k: int) -> list[np.ndarray]:
-            if k < 0:
-                other = x.copy()
-                other[shared:] += PLACE_STEP
-                return problem.outputs(layout, other, start, offset)
-            if k < count:
-                return problem.outputs(layout, x + spread[:, k], start, offset)
-            if k == count:
-                return problem.outputs(layout, x, start + angle, offset)
-            return problem.outputs(layout, x, start, offset + OFFSET_STEP)
-        found = list(run_map(moved, which))
-        rows: list[np.ndarray] = []
-        for r, before in enumerate(outputs):
-            changes = []
-            for k, y in zip(which, found, strict=True):
-                change = (y[r] - before).ravel()
-                changes += [change] if k >= 0 else [change * (place == r) for place in range(layout.gap_places)]
-            rows.append(np.stack(changes))
-        return rows
-
-    def afresh(spread: np.ndarray) -> list[np.ndarray]:
-        """The whole Jacobian, from steps along the columns of ``spread``."""
-        found = columns(everything, spread)
-        for changes in found:
-            changes[:shared] = np.linalg.solve(spread[:shared, :shared].T, changes[:shared])
-            changes[shared:count] /= PLACE_STEP
-            changes[count:] /= np.array([angle, OFFSET_STEP])[: problem.channels, None]
-        return found
-
-    def axes() -> np.ndarray:
-        """The posterior's own axes and widths."""
-        matrix = np.tensordot(weights, normal, 1) / max(data / samples, 1.0) + np.diag(prior)
-        values, vectors = np.linalg.eigh(matrix[:shared, :shared])
-        found = vectors / np.sqrt(np.maximum(values, 1e-12))
-        spread = np.zeros((count, count))
-        spread[:shared, :shared] = found * np.minimum(
-            1.0, 0.5 / np.maximum(np.max(np.abs(found), axis=0), 1e-300))
-        return spread
-
-    shared = count - layout.gap_places
-    places = [-1] if layout.gap_places else []
-    everything = [*range(shared), *places, *range(count, count + problem.channels)]
-    effects = [*range(constants, shared), *places]
-    objective, data, outputs, residuals, costs, penalty = look(x, start, offset)
-    if objective == np.inf:
+    descent = _Descent(problem, layout, np.ones(len(problem.runs)) if weights is None else weights, parallel)
+    here = descent.at(x, problem.start.copy() if start is None else start,
+                      problem.offset.copy() if offset is None else offset)
+    if here.objective == np.inf:
         raise ArithmeticError("the fit's start does not simulate")
-    plain_steps = STEP * np.eye(count)
-    jac = afresh(plain_steps) if jacobian is None else [j.copy() for j in jacobian]
+    jac = descent.afresh(here, STEP * np.eye(layout.size)) if jacobian is None else [j.copy() for j in jacobian]
     drift = 0.0 if jacobian is None else np.inf
     along_axes, damping = False, 1e-3
-    normal, gradient, back = eliminate(problem, start, offset, residuals, jac, count)
+    normal, gradient, back = descent.eliminated(here, jac)
     for _ in range(iterations):
-        if drift > 0.0 and effects:
-            for j, new in zip(jac, columns(effects, plain_steps), strict=True):
-                j[constants:shared] = new[: shared - constants] / STEP
-                j[shared:count] = new[shared - constants:] / PLACE_STEP
-            normal, gradient, back = eliminate(problem, start, offset, residuals, jac, count)
-        scale = max(data / samples, 1.0)
-        matrix = np.tensordot(weights, normal, 1) / scale + np.diag(prior)
-        force = weights @ gradient / scale - prior * (x - layout.prior_mean)
+        if drift > 0.0 and descent.effects:
+            descent.renew_effects(here, jac)
+            normal, gradient, back = descent.eliminated(here, jac)
+        scale = max(here.data / descent.samples, 1.0)
+        matrix = np.tensordot(descent.weights, normal, 1) / scale + np.diag(descent.prior)
+        force = descent.weights @ gradient / scale - descent.prior * (here.x - layout.prior_mean)
+        found, damping = descent.lower(here, jac, matrix, force, back, scale, damping)
         gain = ratio = 0.0
-        for _ in range(5):
-            step = np.linalg.solve(matrix + damping * np.diag(np.diag(matrix)), force)
-            if not np.all(np.isfinite(step)):
-                damping *= 10.0
-                continue
-            step *= min(1.0, LONGEST / max(np.max(np.abs(step)), 1e-300))
-            nuisance = np.array([b[0] - b[1] @ step for b in back])
-            new_start = problem.near_reading(start + nuisance[:, 0])
-            nuisance[:, 0] = new_start - start
-            new_offset = offset + nuisance[:, 1] if problem.has_accel else offset
-            trial = look(x + step, new_start, new_offset)
-            if trial[0] < objective:
-                gain = objective - trial[0]
-                ratio = gain / max(float(2.0 * force @ step - step @ matrix @ step), 1e-300)
-                break
-            damping *= 10.0
-        if gain > 0.0:
-            move = [np.concatenate([step, nuisance[r]]) for r in range(len(outputs))]
-            old, x, start, offset = outputs, x + step, new_start, new_offset
-            objective, data, outputs, residuals, costs, penalty = trial
-            damping = max(damping / 10.0, 1e-9)
+        if found is not None:
+            step = found.x - here.x
+            gain = here.objective - found.objective
+            ratio = gain / max(float(2.0 * force @ step - step @ matrix @ step), 1e-300)
             drift += float(step @ matrix @ step)
-            _broyden(jac, move, [new - y for new, y in zip(outputs, old, strict=True)], count, nuisance_prior)
-            normal, gradient, back = eliminate(problem, start, offset, residuals, jac, count)
+            damping = max(damping / 10.0, 1e-9)
+            _broyden(jac, here, found, layout.size, descent.nuisance_prior)
+            here = found
+            normal, gradient, back = descent.eliminated(here, jac)
         if gain >= tolerance and (ratio > poor or not exact_end):
             continue
         if not exact_end or (gain < tolerance and drift < SETTLED and along_axes):
             break
-        jac, along_axes, drift, damping = afresh(axes()), True, 0.0, min(damping, 1e-3)
-        normal, gradient, back = eliminate(problem, start, offset, residuals, jac, count)
-    return Fit(layout, x, start, offset, objective, costs, penalty, normal, gradient, residuals, outputs, jac,
-               [s.copy() for s in problem.scale])
+        jac = descent.afresh(here, descent.axes(normal, max(here.data / descent.samples, 1.0)))
+        along_axes, drift, damping = True, 0.0, min(damping, 1e-3)
+        normal, gradient, back = descent.eliminated(here, jac)
+    return Fit(layout, here.x, here.start, here.offset, here.objective, here.costs, here.penalty, normal, gradient,
+               here.residuals, here.outputs, jac, [s.copy() for s in problem.scale])
 
 
-def _broyden(jac: list[np.ndarray], move: list[np.ndarray], change: list[np.ndarray], count: int,
-             nuisance_prior: np.ndarray) -> None:
+def _broyden(jac: list[np.ndarray], old: _Point, new: _Point, count: int, nuisance_prior: np.ndarray) -> None:
     """Correct Jacobians (per run) so that they give what a step did; nuisances in units of their priors."""
     units = np.concatenate([np.ones(count), np.sqrt(nuisance_prior)])
-    for j, step, new in zip(jac, move, change, strict=True):
+    for r, j in enumerate(jac):
+        nuisances = [new.start[r] - old.start[r], new.offset[r] - old.offset[r]][: len(nuisance_prior)]
+        step = np.concatenate([new.x - old.x, nuisances])
         norm = float(np.sum((step * units) ** 2))
         if norm > 1e-12:
-            j += np.outer(step * units**2 / norm, new.ravel() - step @ j)
+            j += np.outer(step * units**2 / norm, (new.outputs[r] - old.outputs[r]).ravel() - step @ j)

@@ -111,12 +111,12 @@ class Search:
 def base_fit(problem: Problem) -> Fit:
     """The best rig without further causes; sets the noise that rounding feeds back on the way."""
     layout = problem.layout(Hypothesis(), {})
-    found = fit(problem, layout, layout.prior_mean.copy(), tolerance=2.0, poor=math.inf)
+    found = fit(problem, layout, layout.prior_mean.copy(), tolerance=2.0)
     problem.calibrate(layout, found.x, found.start, found.offset)
-    found = fit(problem, layout, found.x, found.start, found.offset, poor=math.inf)
+    found = fit(problem, layout, found.x, found.start, found.offset)
     if found.chi2 > MISFIT * problem.samples.sum():
         problem.weigh(found.residuals)
-        found = fit(problem, layout, found.x, found.start, found.offset, poor=math.inf)
+        found = fit(problem, layout, found.x, found.start, found.offset)
     return found
 
 
