@@ -124,7 +124,7 @@ def over_cluster(work: Work, tasks: Iterable[Task], client: Client) -> Iterator[
     from distributed import as_completed
 
     source, run, pending = iter(tasks), uuid.uuid4().hex, {}
-    done = as_completed(with_results=True, raise_errors=False)
+    done = as_completed(loop=client.loop, with_results=True, raise_errors=False)
 
     def hand_out() -> None:
         room = max(sum(client.nthreads().values()), 1) - len(pending)

@@ -22,6 +22,8 @@ SIZES = (0.7, 1.4)
 LEFT_OUT = frozenset({"clock_scale"})
 """By the angle and the acceleration alone this one is the same as other constants (a known equivalence)."""
 FIT_STEPS = 8
+ELEMENTS = 16
+"""Of the hidden rig's beam, at least: the error of a coarser mesh would be one more thing that is hidden."""
 DRAWS = 200
 """Rigs that are drawn before it is said that nothing shows."""
 
@@ -42,6 +44,8 @@ def draw(nominal: Rig, tests: list[Run], noise: float, rng: np.random.Generator,
     in them by itself, or keeps the arm from moving, is drawn again.  WorkError where none shows.
     """
     choice = places(nominal)
+    if nominal.beam is not None and nominal.beam.elements < ELEMENTS:
+        nominal = nominal.model_copy(update={"beam": nominal.beam.model_copy(update={"elements": ELEMENTS})})
     for _ in range(DRAWS):
         clean = _draw_constants(nominal, rng)
         chosen = [choice[rng.integers(len(choice))]] if hidden is None else hidden
