@@ -136,13 +136,13 @@ def over_cluster(work: Work, tasks: Iterable[Task], client: Client) -> Iterator[
     hand_out()
     for future, answer in done:
         task, _ = pending.pop(future.key)
-        if future.status == "finished":
-            yield task, answer
-        elif future.status == "error":
-            yield task, {"failure": _killed(future.exception())}
-        else:
+        if future.status == "error":
+            answer = {"failure": _killed(future.exception())}
+        elif future.status != "finished":
             raise WorkError("the scheduler was lost; what is done is kept, the same command goes on from there")
+        future.release()    # or the answer stays with its worker, and would be worked out again if that is lost
         hand_out()
+        yield task, answer
 
 
 def _killed(error: BaseException) -> str:
