@@ -51,6 +51,10 @@ DECIDES = 9.0
 """D from which on a test is worth running: the odds are then expected to move by a factor of ninety."""
 SHOWS = 25.0
 """chi^2 at which an effect shows."""
+LOOKED = 8
+"""Tests whose forecasts are worked out with their uncertainty, where rivals are to be told apart."""
+FAR = 300.0
+"""Scale of chi^2 without regard to refits, by which these are picked."""
 AXES = 10
 """Directions of the posterior, widest first, whose predictions are worked out."""
 STEP = 0.5
@@ -95,6 +99,11 @@ class Belief:
     axes: np.ndarray
     model: Callable[[np.ndarray], Model]
 
+    @property
+    def still(self) -> Belief:
+        """The same as if nothing were uncertain: its forecasts cost one simulation each."""
+        return replace(self, axes=np.zeros((len(self.x), 0)))
+
 
 @dataclass(frozen=True)
 class Forecast:
@@ -114,7 +123,13 @@ class Worth:
     cost: float
     why: str
     prediction: Prediction
-    decides: bool
+    distance: float
+    """Largest D of a pair."""
+
+    @property
+    def decides(self) -> bool:
+        """Whether it is expected to tell two rivals apart."""
+        return self.distance >= DECIDES
 
 
 class Planner:
@@ -248,7 +263,19 @@ def between(planner: Planner, beliefs: Sequence[Belief], odds: Sequence[float]) 
     weights = np.array([odds[i] * odds[j] for i, j in pairs])
     weights = weights / weights.sum()
 
+    def promising(tried: list[Trial]) -> list[Trial]:
+        """The tests in which the hypotheses differ most as they stand, LOOKED of them."""
+        runs = [trial.as_run(planner.rig) for trial in tried]
+        still = [planner.forecasts(belief.still, runs) for belief in beliefs]
+        scores = []
+        for r, trial in enumerate(tried):
+            here = [forecasts[r].mean / planner.sigma[:, None] for forecasts in still]
+            apart = np.nan_to_num([np.sum((here[i] - here[j]) ** 2) for i, j in pairs], posinf=0.0)
+            scores.append(planner.worth(trial, float(weights @ (1.0 - np.exp(-apart / FAR)))))
+        return [tried[r] for r in sorted(np.argsort(-np.array(scores), kind="stable")[:LOOKED])]
+
     def judge(tried: list[Trial]) -> list[Worth]:
+        tried = promising(tried) if len(tried) > LOOKED else tried
         runs = [trial.as_run(planner.rig) for trial in tried]
         every = [planner.forecasts(belief, runs) for belief in beliefs]
         first = beliefs[0].model(beliefs[0].x)
@@ -271,7 +298,7 @@ def between(planner: Planner, beliefs: Sequence[Belief], odds: Sequence[float]) 
             found.append(Worth(trial, planner.worth(trial, float(weights @ resolved)), planner.cost(run, here[0]), why,
                                planner.predicted(trial, run, (beliefs[i].words, beliefs[j].words),
                                                  (here[i].mean, here[j].mean)),
-                               max(distances) >= DECIDES))
+                               max(distances)))
         return found
     return judge
 
@@ -302,12 +329,12 @@ class Blocks:
         return (self.effects - self.cross.T @ np.linalg.solve(inner, self.cross)) / SHOWS
 
 
-def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]], bold: Sequence[np.ndarray] = (),
+def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]], bold: Sequence[Belief] = (),
             ) -> Callable[[list[Trial]], list[Worth]]:
     """Judge trials by how much of the catalogue they make visible that the planner's runs did not.
 
     ``base``: where the rig stands, its axes the uncertainty before any run.  ``effects``: words and the effect at a
-    usual size.  ``bold``: further places of the base hypothesis on which a trial must behave.
+    usual size.  ``bold``: where else the rig may stand; a trial must behave there too.
     """
     first = base.model(base.x)
     models = list(planner.pool.map(lambda row: _built(first.rig.with_effects((*first.rig.effects, row[1]))), effects))
@@ -336,7 +363,7 @@ def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]
 
     def judge(tried: list[Trial]) -> list[Worth]:
         runs = [trial.as_run(planner.rig) for trial in tried]
-        daring = [planner.forecasts(Belief("", x, np.zeros((len(x), 0)), base.model), runs) for x in bold]
+        daring = [planner.forecasts(other.still, runs) for other in bold]
         found = []
         for r, (trial, run, (here, outputs, blocks)) in enumerate(zip(tried, runs, looked(runs), strict=True)):
             if not planner.behaves(trial, here):
@@ -353,7 +380,7 @@ def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]
             found.append(Worth(trial, planner.worth(trial, float(np.linalg.slogdet(np.eye(m) + both)[1] - before)),
                                planner.cost(run, here), why,
                                planner.predicted(trial, run, (base.words, f"with {effects[e][0]}"),
-                                                 (here.mean, outputs[e])), True))
+                                                 (here.mean, outputs[e])), 0.0))
         return found
     return judge
 
@@ -372,10 +399,11 @@ def belief(search: Search, found: Fit) -> Belief:
     return Belief(_words(frozenset(layout.hypothesis.causes())), found.x, axes, lambda x: problem.model(layout, x))
 
 
-def _unbiased(search: Search, found: Fit) -> Belief:
-    """Where a fitted hypothesis stands, with the uncertainty that it had before any run."""
-    here = belief(search, found)
-    return replace(here, axes=np.diag(found.layout.prior_precision**-0.5))
+def _plain(search: Search, found: Fit) -> Belief:
+    """The rig of a fitted hypothesis without its effects, which cost time, and as uncertain as before any run."""
+    layout = search.fits[frozenset()].layout
+    x = np.linalg.solve(layout.root, found.logs)
+    return Belief("the rig as fitted", x, np.eye(len(x)), lambda x: search.problem.model(layout, x))
 
 
 def _addable(rig: Rig, held: frozenset[Key] = frozenset()) -> list[tuple[str, Effect]]:
@@ -413,9 +441,11 @@ def choose(search: Search, odds: Odds, verdict: Verdict) -> Choice:
         if found is not None and found.decides:
             return _choice(replace(found, why=found.why + _telling(best)))
         if verdict == "ambiguous":
-            undecidable = (f"{beliefs[0].words} and {beliefs[1].words} predict the same, within what refitted "
-                           "constants absorb, in every test that this station can run")
-    judge = showing(planner, _unbiased(search, search.fits[best]), _addable(problem.rig, best))
+            undecidable = (f"{beliefs[0].words} and {beliefs[1].words} predict the same in every test that "
+                           "this station can run, within what refitted constants absorb"
+                           + (f" (chi^2 = {found.distance:.1f} at most)" if found is not None else ""))
+    fit = search.fits[best]
+    judge = showing(planner, _plain(search, fit), _addable(problem.rig, best), [belief(search, fit)])
     plan = _choice(planner.best(judge, trials(problem.rig)))
     if undecidable is not None:
         return Choice(NextExperiment(test=None, why=undecidable), None, plan.next)
@@ -436,7 +466,7 @@ def first_test(rig: Rig) -> Choice:
 
     accel = [np.hypot(ACCEL_DEFAULT, np.sqrt(QUANTISATION))] if rig.accelerometer is not None else []
     base = Belief("the rig as its file says", np.zeros(len(paths)), np.eye(len(paths)), model)
-    bold = np.random.default_rng(0).normal(size=(BOLD, len(paths)))
+    bold = [replace(base, x=x) for x in np.random.default_rng(0).normal(size=(BOLD, len(paths)))]
     with ThreadPoolExecutor(2) as pool:
         planner = Planner(rig, np.array([np.sqrt(QUANTISATION), *accel]), pool)
         found = (planner.best(showing(planner, base, _addable(rig), bold), trials(rig))

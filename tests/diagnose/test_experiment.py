@@ -148,7 +148,7 @@ def test_blocks_of_runs_add_up_to_what_all_of_them_say_together():
 
 def worth(trial: Trial, value: float, cost: float) -> Worth:
     return Worth(trial, value, cost, "", Prediction({}, np.zeros(1), np.zeros(1), ("", ""), (np.zeros(1),) * 2, None),
-                 True)
+                 0.0)
 
 
 def test_of_tests_that_are_worth_the_same_the_gentler_is_taken(planner):
