@@ -44,8 +44,6 @@ def draw(nominal: Rig, tests: list[Run], noise: float, rng: np.random.Generator,
     in them by itself, or keeps the arm from moving, is drawn again.  WorkError where none shows.
     """
     choice = places(nominal)
-    if nominal.beam is not None and nominal.beam.elements < ELEMENTS:
-        nominal = nominal.model_copy(update={"beam": nominal.beam.model_copy(update={"elements": ELEMENTS})})
     for _ in range(DRAWS):
         clean = _draw_constants(nominal, rng)
         chosen = [choice[rng.integers(len(choice))]] if hidden is None else hidden
@@ -56,9 +54,15 @@ def draw(nominal: Rig, tests: list[Run], noise: float, rng: np.random.Generator,
         found = clean.with_effects([*clean.effects, *(effect for effect in effects if effect is not None)])
         if all(_shows(nominal, clean, rig, tests, noise) for rig in alone) and (
                 len(effects) < 2 or _moves(_outputs(clean, tests), _outputs(found, tests))):
-            return found
+            return _fine(found)
     names = " and ".join(f"{name} at the {at}" for name, at in hidden) if hidden else "effect"
     raise WorkError(f"{nominal.name}: in {DRAWS} draws no {names} showed in the tests")
+
+
+def _fine(rig: Rig) -> Rig:
+    if rig.beam is None or rig.beam.elements >= ELEMENTS:
+        return rig
+    return rig.model_copy(update={"beam": rig.beam.model_copy(update={"elements": ELEMENTS})})
 
 
 def _draw_constants(nominal: Rig, rng: np.random.Generator) -> Rig:
