@@ -35,7 +35,7 @@ sys.path.insert(0, str(ROOT))
 from station.campaign.order import by_share, in_turn  # noqa: E402
 from station.campaign.outcome import Key, Outcome, Task  # noqa: E402
 from station.campaign.program import sources_hash  # noqa: E402
-from station.campaign.run import Results, run_campaign  # noqa: E402
+from station.campaign.run import Results, run_campaign, so_far  # noqa: E402
 from station.campaign.summary import calibration, largest, median, share, summary, title  # noqa: E402
 from tests.diagnose.blind import Cause, blind_task, judge, table  # noqa: E402
 from tests.truth import SFLR, effect_names, outside_names, uncertain_keys  # noqa: E402
@@ -253,7 +253,12 @@ def main() -> int:
         line = f"{task.label}: {found}" if isinstance(found, str) else table([found]).splitlines()[1]
         print(f"{done:4d}/{len(tasks)} {line}", file=sys.stderr, flush=True)
 
-    results = run_campaign(tasks, judge, options.out, workers=options.workers, code=code_hash(), told=told, begun=begun)
+    try:
+        results = run_campaign(tasks, judge, options.out, workers=options.workers, code=code_hash(), told=told,
+                               begun=begun)
+    except KeyboardInterrupt:
+        print("interrupted: the table is of what is there; the same command goes on", file=sys.stderr, flush=True)
+        results = so_far(tasks, options.out, code=code_hash())
     print(report(results, options.out, {key: str(value) if isinstance(value, Path) else value
                                         for key, value in vars(options).items()}))
     return 1 if results.failed else 0
