@@ -247,8 +247,9 @@ class Rig(_Table):
             raise UsageError(f"{source}: {_first(error)}") from None
 
     def to_toml(self) -> str:
-        """The rig file's text; reading it gives the same rig."""
-        return tomli_w.dumps(self.model_dump(exclude_none=True, exclude_defaults=False))
+        """The rig file's text; reading it gives the same rig, and [[effects]] may be added at its end."""
+        tables = self.model_dump(exclude_none=True, exclude_defaults=False)
+        return tomli_w.dumps({key: value for key, value in tables.items() if key != "effects" or value})
 
 
 def _first(error: ValidationError) -> str:

@@ -35,8 +35,8 @@ sys.path.insert(0, str(ROOT))
 from station.campaign.order import by_share, in_turn  # noqa: E402
 from station.campaign.outcome import Key, Outcome, Task  # noqa: E402
 from station.campaign.program import sources_hash  # noqa: E402
-from station.campaign.run import Results, run_campaign  # noqa: E402
-from station.campaign.summary import calibration, largest, median, share, summary, title  # noqa: E402
+from station.campaign.run import Results, run_campaign, so_far  # noqa: E402
+from station.campaign.summary import calibration, coverage, largest, median, share, summary, title  # noqa: E402
 from tests.diagnose.blind import Cause, blind_task, judge, table  # noqa: E402
 from tests.truth import SFLR, effect_names, outside_names, uncertain_keys  # noqa: E402
 from tests.truth.sizes import BANDS, largest_parameter  # noqa: E402
@@ -201,6 +201,13 @@ def by_cause(outcomes: Sequence[Outcome]) -> str:
     return "\n".join(lines)
 
 
+def by_parameter(outcomes: Sequence[Outcome]) -> str:
+    """Markdown: how many intervals of each parameter hold the truth."""
+    lines = ["| parameter | 95 % intervals that hold the truth |", "| --- | --- |"]
+    lines += [f"| `{name}` | {found['count']} of {found['of']} |" for name, found in coverage(outcomes).items()]
+    return "\n".join(lines)
+
+
 def report(results: Results, out: Path, arguments: dict[str, Any]) -> str:
     """Write summary.json and give the Markdown."""
     outcomes = [o for o in results.outcomes if o.unmade is None]
@@ -211,7 +218,8 @@ def report(results: Results, out: Path, arguments: dict[str, Any]) -> str:
         {"arguments": arguments, **whole, "figures": shares, "numbers": others, "never": never}, indent=1),
         encoding="utf-8")
     unmade = {**never, **whole["unmade"]}
-    parts = [markdown(shares, others, whole["calibration"]["ranked"]["bins"]), by_cause(outcomes)]
+    parts = [markdown(shares, others, whole["calibration"]["ranked"]["bins"]), by_cause(outcomes),
+             by_parameter(outcomes)]
     if unmade:
         parts.append("Not counted:\n\n" + "\n".join(f"- {name}: {why}" for name, why in unmade.items()))
     if results.failed:
@@ -253,7 +261,12 @@ def main() -> int:
         line = f"{task.label}: {found}" if isinstance(found, str) else table([found]).splitlines()[1]
         print(f"{done:4d}/{len(tasks)} {line}", file=sys.stderr, flush=True)
 
-    results = run_campaign(tasks, judge, options.out, workers=options.workers, code=code_hash(), told=told, begun=begun)
+    try:
+        results = run_campaign(tasks, judge, options.out, workers=options.workers, code=code_hash(), told=told,
+                               begun=begun)
+    except KeyboardInterrupt:
+        print("interrupted: the table is of what is there; the same command goes on", file=sys.stderr, flush=True)
+        results = so_far(tasks, options.out, code=code_hash())
     print(report(results, options.out, {key: str(value) if isinstance(value, Path) else value
                                         for key, value in vars(options).items()}))
     return 1 if results.failed else 0

@@ -124,7 +124,7 @@ def over_cluster(work: Work, tasks: Iterable[Task], client: Client) -> Iterator[
     from distributed import as_completed
 
     source, run, pending = iter(tasks), uuid.uuid4().hex, {}
-    done = as_completed(with_results=True, raise_errors=False)
+    done = as_completed(loop=client.loop, with_results=True, raise_errors=False)
 
     def hand_out() -> None:
         room = max(sum(client.nthreads().values()), 1) - len(pending)
@@ -136,13 +136,13 @@ def over_cluster(work: Work, tasks: Iterable[Task], client: Client) -> Iterator[
     hand_out()
     for future, answer in done:
         task, _ = pending.pop(future.key)
-        if future.status == "finished":
-            yield task, answer
-        elif future.status == "error":
-            yield task, {"failure": _killed(future.exception())}
-        else:
+        if future.status == "error":
+            answer = {"failure": _killed(future.exception())}
+        elif future.status != "finished":
             raise WorkError("the scheduler was lost; what is done is kept, the same command goes on from there")
+        future.release()    # or the answer stays with its worker, and would be worked out again if that is lost
         hand_out()
+        yield task, answer
 
 
 def _killed(error: BaseException) -> str:

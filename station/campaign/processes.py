@@ -53,7 +53,7 @@ def over_processes(work: Work, tasks: Iterable[Task], workers: int) -> Iterator[
 
 def lost_line(times: int) -> str:
     """The failure of a task that takes its workers with it."""
-    return f"its worker was lost {times} times"
+    return f"its worker was lost {'twice' if times == 2 else f'{times} times'}"
 
 
 class _Worker:

@@ -46,11 +46,7 @@ def run_campaign(tasks: Sequence[Task], case: Case, out: Path, *, workers: int |
     if len({task.label for task in tasks}) < len(tasks):
         raise ValueError("two tasks have the same label")
     kept = CaseFolder(out, f"{program_hash()}{code}")
-    found: dict[str, Outcome | str] = {}
-    for task in tasks:
-        outcome = kept.kept(task)
-        if outcome is not None:
-            found[task.label] = outcome
+    found: dict[str, Outcome | str] = {o.label: o for o in so_far(tasks, out, code=code).outcomes}
     results = Results(repeated=len(found))
     left = [task for task in tasks if task.label not in found]
     if begun is not None:
@@ -70,6 +66,13 @@ def run_campaign(tasks: Sequence[Task], case: Case, out: Path, *, workers: int |
         else:
             results.outcomes.append(outcome)
     return results
+
+
+def so_far(tasks: Sequence[Task], out: Path, *, code: str = "") -> Results:
+    """What ``out`` holds of the tasks already."""
+    kept = CaseFolder(out, f"{program_hash()}{code}")
+    there = [outcome for outcome in map(kept.kept, tasks) if outcome is not None]
+    return Results(there, repeated=len(there))
 
 
 Over = Callable[[Work, Sequence[Task]], Iterator[tuple[Task, dict[str, Any]]]]

@@ -92,6 +92,15 @@ def shares(outcomes: Sequence[Outcome]) -> dict[str, dict[str, Any]]:
     }
 
 
+def coverage(outcomes: Sequence[Outcome]) -> dict[str, dict[str, Any]]:
+    """Share of the 95 % intervals that hold the truth, by cause and parameter."""
+    held: dict[str, list[bool]] = defaultdict(list)
+    for outcome in outcomes:
+        for key, name, inside in outcome.intervals():
+            held[f"{title(key)} {name}"].append(inside)
+    return {name: share(inside) for name, inside in sorted(held.items())}
+
+
 def verdicts(outcomes: Sequence[Outcome]) -> dict[str, dict[str, int]]:
     """Verdicts by group."""
     found: dict[str, Counter[str]] = defaultdict(Counter)
@@ -139,6 +148,7 @@ def summary(results: Results) -> dict[str, Any]:
         "verdicts": verdicts(outcomes),
         "confusion": confusion(outcomes),
         "shares": shares(outcomes),
+        "coverage": coverage(outcomes),
         "calibration": {"stated": calibration(pair for o in known for pair in o.stated()),
                         "ranked": calibration(pair for o in known for pair in o.ranked())},
         "gains": gains(outcomes),

@@ -61,7 +61,12 @@ def campaign(
         raise WorkError(f"{out}: not a folder that can be made: {error.strerror or error}") from None
     with progress("starting") as update:
         told = _Told(len(tasks), update)
-        results = run_campaign(tasks, case, out, workers=workers, scheduler=there, told=told.ended, begun=told.begun)
+        try:
+            results = run_campaign(tasks, case, out, workers=workers, scheduler=there, told=told.ended,
+                                   begun=told.begun)
+        except KeyboardInterrupt:
+            note(f"{told.done} of {len(tasks)} cases are kept in {out}; the same command goes on from there")
+            raise
     found = summary(results)
     write_json(out / "summary.json", found)
     write_campaign(found, out / "report.html", plan.name)

@@ -11,9 +11,9 @@ for nothing.  exp(-D/8) bounds the share of errors that two equally likely rival
 is the sum over pairs of p_i p_j (1 - exp(-D_ij/8)), over that of p_i p_j.
 
 Where nothing points anywhere yet, it is the test that makes the catalogue visible.  With G the Gram matrix of what the
-effects at plain sizes would change there, constants absorbed as above, and O what they would have changed in the runs
-so far, the worth is ln det(1 + (O + G)/k) - ln det(1 + O/k), k the chi^2 at which an effect shows (the D-optimal
-design): effects that look alike count but once.
+effects at usual sizes change in the runs so far, in units of the noise and beyond what constants within their stated
+uncertainty could do, and G' that of the same runs and the new one, the worth is ln det(1 + G'/k) - ln det(1 + G/k), k
+the chi^2 at which an effect shows (the D-optimal design): effects that look alike count but once.
 
 Of tests of nearly equal worth the shorter and gentler one is taken.
 """
@@ -51,6 +51,10 @@ DECIDES = 9.0
 """D from which on a test is worth running: the odds are then expected to move by a factor of ninety."""
 SHOWS = 25.0
 """chi^2 at which an effect shows."""
+LOOKED = 8
+"""Tests whose forecasts are worked out with their uncertainty, where rivals are to be told apart."""
+FAR = 300.0
+"""Scale of chi^2 without regard to refits, by which these are picked."""
 AXES = 10
 """Directions of the posterior, widest first, whose predictions are worked out."""
 STEP = 0.5
@@ -65,6 +69,8 @@ AGAIN = 0.5
 """What the worth of a test is multiplied by that was run already."""
 REFINED = (0.7, 1.4)
 """Amplitudes tried about the best test's, as factors."""
+PAST = 8
+"""Runs whose part in what is known already is worked out, the longest."""
 BOLD = 6
 """Draws from the rig's stated uncertainty on which the first test must behave."""
 SPAN = 10
@@ -93,6 +99,11 @@ class Belief:
     axes: np.ndarray
     model: Callable[[np.ndarray], Model]
 
+    @property
+    def still(self) -> Belief:
+        """The same as if nothing were uncertain: its forecasts cost one simulation each."""
+        return replace(self, axes=np.zeros((len(self.x), 0)))
+
 
 @dataclass(frozen=True)
 class Forecast:
@@ -112,7 +123,13 @@ class Worth:
     cost: float
     why: str
     prediction: Prediction
-    decides: bool
+    distance: float
+    """Largest D of a pair."""
+
+    @property
+    def decides(self) -> bool:
+        """Whether it is expected to tell two rivals apart."""
+        return self.distance >= DECIDES
 
 
 class Planner:
@@ -120,7 +137,8 @@ class Planner:
 
     def __init__(self, rig: Rig, sigma: np.ndarray, pool: Executor, runs: Sequence[Run] = ()) -> None:
         """``sigma``: standard deviation of encoder and accelerometer (counts), the latter left out without one."""
-        self.rig, self.sigma, self.pool, self.runs = rig, sigma, pool, list(runs)
+        self.rig, self.sigma, self.pool = rig, sigma, pool
+        self.runs = sorted(runs, key=len, reverse=True)
 
     @property
     def channels(self) -> int:
@@ -245,7 +263,19 @@ def between(planner: Planner, beliefs: Sequence[Belief], odds: Sequence[float]) 
     weights = np.array([odds[i] * odds[j] for i, j in pairs])
     weights = weights / weights.sum()
 
+    def promising(tried: list[Trial]) -> list[Trial]:
+        """The tests in which the hypotheses differ most as they stand, LOOKED of them."""
+        runs = [trial.as_run(planner.rig) for trial in tried]
+        still = [planner.forecasts(belief.still, runs) for belief in beliefs]
+        scores = []
+        for r, trial in enumerate(tried):
+            here = [forecasts[r].mean / planner.sigma[:, None] for forecasts in still]
+            apart = np.nan_to_num([np.sum((here[i] - here[j]) ** 2) for i, j in pairs], posinf=0.0)
+            scores.append(planner.worth(trial, float(weights @ (1.0 - np.exp(-apart / FAR)))))
+        return [tried[r] for r in sorted(np.argsort(-np.array(scores), kind="stable")[:LOOKED])]
+
     def judge(tried: list[Trial]) -> list[Worth]:
+        tried = promising(tried) if len(tried) > LOOKED else tried
         runs = [trial.as_run(planner.rig) for trial in tried]
         every = [planner.forecasts(belief, runs) for belief in beliefs]
         first = beliefs[0].model(beliefs[0].x)
@@ -268,52 +298,89 @@ def between(planner: Planner, beliefs: Sequence[Belief], odds: Sequence[float]) 
             found.append(Worth(trial, planner.worth(trial, float(weights @ resolved)), planner.cost(run, here[0]), why,
                                planner.predicted(trial, run, (beliefs[i].words, beliefs[j].words),
                                                  (here[i].mean, here[j].mean)),
-                               max(distances) >= DECIDES))
+                               max(distances)))
         return found
     return judge
 
 
-def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect, float]],
-            bold: Sequence[np.ndarray] = ()) -> Callable[[list[Trial]], list[Worth]]:
-    """Judge trials by how much of the catalogue they make visible.
+@dataclass(frozen=True)
+class Blocks:
+    """What one run says of constants S (k) and of effects D (m), its own nuisances taken out: S S', S D', D D'.
 
-    ``effects``: words, the effect at a plain size, and the chi^2 that it would have shown with so far.  ``bold``:
-    further places of the base hypothesis on which a trial must behave.
+    Runs add.
     """
-    old = np.array([seen for _, _, seen in effects]) / SHOWS
+
+    constants: np.ndarray
+    cross: np.ndarray
+    effects: np.ndarray
+
+    @classmethod
+    def of(cls, spread: np.ndarray, change: np.ndarray, nuisances: np.ndarray) -> Blocks:
+        """From scaled rows (k, n), (m, n) and the nuisances' (channels, n)."""
+        clear = absorbed(change, nuisances)
+        return cls(absorbed(spread, nuisances) @ spread.T, spread @ clear.T, change @ clear.T)
+
+    def __add__(self, other: Blocks) -> Blocks:
+        return Blocks(self.constants + other.constants, self.cross + other.cross, self.effects + other.effects)
+
+    def gram(self) -> np.ndarray:
+        """(m, m) what the effects change that constants within their uncertainty (unit prior) do not."""
+        inner = np.eye(len(self.constants)) + self.constants
+        return (self.effects - self.cross.T @ np.linalg.solve(inner, self.cross)) / SHOWS
+
+
+def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]], bold: Sequence[Belief] = (),
+            ) -> Callable[[list[Trial]], list[Worth]]:
+    """Judge trials by how much of the catalogue they make visible that the planner's runs did not.
+
+    ``base``: where the rig stands, its axes the uncertainty before any run.  ``effects``: words and the effect at a
+    usual size.  ``bold``: where else the rig may stand; a trial must behave there too.
+    """
+    first = base.model(base.x)
+    models = list(planner.pool.map(lambda row: _built(first.rig.with_effects((*first.rig.effects, row[1]))), effects))
+
+    def looked(runs: Sequence[Run]) -> list[tuple[Forecast, list[np.ndarray], Blocks]]:
+        """Per run the forecast, the outputs with each effect, and the blocks."""
+        here = planner.forecasts(base, runs)
+        changed = list(planner.pool.map(
+            lambda model: [planner.outputs(simulate_model(model, run, rounding=False)) for run in runs], models))
+        found = []
+        for r, run in enumerate(runs):
+            outputs = [every[r] for every in changed]
+            scale = planner.scales(first, run, here[r].mean)
+            change = np.stack([((output - here[r].mean) * scale).ravel() for output in outputs])
+            change[~np.all(np.isfinite(change), axis=1)] = 0.0
+            spread = np.nan_to_num((here[r].spread * scale).reshape(-1, scale.size), posinf=0.0, neginf=0.0)
+            found.append((here[r], outputs, Blocks.of(spread, change, planner.nuisances(scale))))
+        return found
+
+    k, m = base.axes.shape[1], len(effects)
+    past = sum((blocks for _, _, blocks in looked(planner.runs[:PAST])),
+               Blocks(np.zeros((k, k)), np.zeros((k, m)), np.zeros((m, m))))
+    known = past.gram()
+    old = np.diag(known)
+    before = np.linalg.slogdet(np.eye(m) + known)[1]
 
     def judge(tried: list[Trial]) -> list[Worth]:
         runs = [trial.as_run(planner.rig) for trial in tried]
-        here = planner.forecasts(base, runs)
-        first = base.model(base.x)
-
-        def simulated(effect: Effect) -> list[np.ndarray]:
-            model = _built(first.rig.with_effects((*first.rig.effects, effect)))
-            return [planner.outputs(simulate_model(model, run, rounding=False)) for run in runs]
-
-        changed = list(planner.pool.map(simulated, [effect for _, effect, _ in effects]))
-        daring = [planner.forecasts(Belief("", x, np.zeros((len(x), 0)), base.model), runs) for x in bold]
+        daring = [planner.forecasts(other.still, runs) for other in bold]
         found = []
-        for r, (trial, run) in enumerate(zip(tried, runs, strict=True)):
-            if not planner.behaves(trial, here[r]):
+        for r, (trial, run, (here, outputs, blocks)) in enumerate(zip(tried, runs, looked(runs), strict=True)):
+            if not planner.behaves(trial, here):
                 continue
             if not all(planner.behaves(trial, forecasts[r], 2.0 * TRAVEL) for forecasts in daring):
                 continue
-            scale = planner.scales(first, run, here[r].mean)
-            spread = planner.scaled(here[r], scale)
-            change = np.stack([((outputs[r] - here[r].mean) * scale).ravel() for outputs in changed])
-            change[~np.all(np.isfinite(change), axis=1)] = 0.0
-            gram = absorbed(change, spread) @ change.T / SHOWS
-            value = np.linalg.slogdet(np.diag(1.0 + old) + gram)[1] - np.sum(np.log1p(old))
-            newly = np.diag(gram) + old
-            shown = int(np.sum((newly >= 1.0) & (old < 1.0)))
-            e = int(np.argmax(np.log1p(newly) - np.log1p(old)))
-            why = (f"{int(np.sum(np.diag(gram) >= 1.0))} of {len(effects)} effects of a plain size would show here"
-                   + (f", {shown} of them for the first time" if np.any(old > 0.0) and shown else "")
-                   + f"; {effects[e][0]} gains most")
-            found.append(Worth(trial, planner.worth(trial, float(value)), planner.cost(run, here[r]), why,
+            both = (past + blocks).gram()
+            new = np.diag(both)
+            shown = int(np.sum((new >= 1.0) & (old < 1.0)))
+            e = int(np.argmax(np.log1p(new) - np.log1p(old)))
+            why = (f"{shown} of {m} effects of a usual size would show that the runs so far could not have shown"
+                   if planner.runs and shown else f"{int(np.sum(new >= 1.0))} of {m} effects of a usual size would show"
+                   ) + f", {effects[e][0]} gains most"
+            found.append(Worth(trial, planner.worth(trial, float(np.linalg.slogdet(np.eye(m) + both)[1] - before)),
+                               planner.cost(run, here), why,
                                planner.predicted(trial, run, (base.words, f"with {effects[e][0]}"),
-                                                 (here[r].mean, changed[e][r])), True))
+                                                 (here.mean, outputs[e])), 0.0))
         return found
     return judge
 
@@ -332,16 +399,21 @@ def belief(search: Search, found: Fit) -> Belief:
     return Belief(_words(frozenset(layout.hypothesis.causes())), found.x, axes, lambda x: problem.model(layout, x))
 
 
-def _plain(rig: Rig, held: frozenset[Key], seen: Callable[[Key, dict[str, float]], float],
-           ) -> list[tuple[str, Effect, float]]:
+def _plain(search: Search, found: Fit) -> Belief:
+    """The rig of a fitted hypothesis without its effects, which cost time, and as uncertain as before any run."""
+    layout = search.fits[frozenset()].layout
+    x = np.linalg.solve(layout.root, found.logs)
+    return Belief("the rig as fitted", x, np.eye(len(x)), lambda x: search.problem.model(layout, x))
+
+
+def _addable(rig: Rig, held: frozenset[Key] = frozenset()) -> list[tuple[str, Effect]]:
     """Every effect that could join a rig, at the middle of its usual sizes."""
     found = []
     for candidate in candidates(rig):
         if candidate.effect is None or candidate.key in held or candidate.effect.stage is Stage.CLOCK:
             continue
         guess = candidate.guesses[(len(candidate.guesses) - 1) // 2]
-        effect = candidate.effect.model_construct(at=candidate.at, **guess)
-        found.append((_words(frozenset([candidate.key])), effect, seen(candidate.key, guess)))
+        found.append((_words(frozenset([candidate.key])), candidate.effect.model_construct(at=candidate.at, **guess)))
     return found
 
 
@@ -369,11 +441,12 @@ def choose(search: Search, odds: Odds, verdict: Verdict) -> Choice:
         if found is not None and found.decides:
             return _choice(replace(found, why=found.why + _telling(best)))
         if verdict == "ambiguous":
-            undecidable = (f"{beliefs[0].words} and {beliefs[1].words} predict the same, within what refitted "
-                           "constants absorb, in every test that this station can run")
-    known = {(p.candidate.key, tuple(sorted(p.guess.items()))): max(p.information, 0.0) for p in search.promises}
-    effects = _plain(problem.rig, best, lambda key, guess: known.get((key, tuple(sorted(guess.items()))), 0.0))
-    plan = _choice(planner.best(showing(planner, belief(search, search.fits[best]), effects), trials(problem.rig)))
+            undecidable = (f"{beliefs[0].words} and {beliefs[1].words} predict the same in every test that "
+                           "this station can run, within what refitted constants absorb"
+                           + (f" (chi^2 = {found.distance:.1f} at most)" if found is not None else ""))
+    fit = search.fits[best]
+    judge = showing(planner, _plain(search, fit), _addable(problem.rig, best), [belief(search, fit)])
+    plan = _choice(planner.best(judge, trials(problem.rig)))
     if undecidable is not None:
         return Choice(NextExperiment(test=None, why=undecidable), None, plan.next)
     return plan
@@ -393,12 +466,11 @@ def first_test(rig: Rig) -> Choice:
 
     accel = [np.hypot(ACCEL_DEFAULT, np.sqrt(QUANTISATION))] if rig.accelerometer is not None else []
     base = Belief("the rig as its file says", np.zeros(len(paths)), np.eye(len(paths)), model)
-    bold = np.random.default_rng(0).normal(size=(BOLD, len(paths)))
+    bold = [replace(base, x=x) for x in np.random.default_rng(0).normal(size=(BOLD, len(paths)))]
     with ThreadPoolExecutor(2) as pool:
         planner = Planner(rig, np.array([np.sqrt(QUANTISATION), *accel]), pool)
-        judge = showing(planner, base, _plain(rig, frozenset(), lambda key, guess: 0.0), bold)
-        found = planner.best(judge, trials(rig)) or planner.best(
-            showing(planner, base, _plain(rig, frozenset(), lambda key, guess: 0.0)), trials(rig))
+        found = (planner.best(showing(planner, base, _addable(rig), bold), trials(rig))
+                 or planner.best(showing(planner, base, _addable(rig)), trials(rig)))
     return _choice(found)
 
 

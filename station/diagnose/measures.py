@@ -24,7 +24,7 @@ def overshoot(reference: np.ndarray, encoder: np.ndarray) -> float | None:
         return None
     before, after = reference[row - 1], reference[row]
     peak = np.max(encoder) if after > before else np.min(encoder)
-    return float(100.0 * (peak - after) / (after - before))
+    return float(100.0 * (peak - after) / (after - before)) + 0.0     # never a negative zero
 
 
 def settling_time(reference: np.ndarray, encoder: np.ndarray, t: np.ndarray) -> float | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from pathlib import Path
 
@@ -102,6 +103,16 @@ def test_what_is_wrong_is_told_in_one_line_that_names_file_and_key(folder, text)
     with pytest.raises(UsageError, match=WRONG[text]) as raised:
         load_tasks(plan(folder, text))
     assert str(raised.value).startswith(str(folder / "plan.toml")) and "\n" not in str(raised.value)
+
+
+def test_the_plan_of_the_docs_is_one(folder):
+    page = (Path(__file__).resolve().parents[2] / "docs" / "campaign.md").read_text(encoding="utf-8")
+    (text,) = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)
+    for name in ("rigs/a.toml", "rigs/b.toml", "logs/a/1.mcap", "logs/a-extra.csv", "logs/b/1.mcap"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(builtin_rigs()["sflr"])
+    assert Counter(task.group for task in load_tasks(plan(folder, text))) == {
+        "single": 35, "clean": 10, "pair": 5, "logs": 2}
 
 
 def test_a_plan_that_is_not_there_is_told_in_one_line(tmp_path):

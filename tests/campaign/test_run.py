@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
+import subprocess
 from pathlib import Path
 
 import psutil
 import pytest
 
-from station.campaign import cluster
+from station.campaign import cluster, processes
 from station.campaign.folder import CaseFolder, file_name
 from station.campaign.program import program_hash
 from station.campaign.run import run_campaign
@@ -49,12 +51,14 @@ def test_a_killed_worker_costs_only_its_task(tmp_path, marks, plain):
 
 
 @pytest.mark.parametrize("plain", [True, False], ids=["processes", "dask"])
-def test_a_case_that_always_kills_its_worker_ends_as_a_failure(tmp_path, marks, plain):
+def test_a_case_that_always_kills_its_worker_ends_as_a_failure(tmp_path, marks, plain, monkeypatch):
+    for module in (cluster, processes):
+        monkeypatch.setattr(module, "RETRIES", 1)
     given = tasks(marks, c_dies="always die", e="fail")
     results = run_campaign(given, case, tmp_path / "out", workers=2, plain=plain)
-    assert results.failed == {DEAD: "its worker was lost 4 times", "e": "ValueError: this one"}
+    assert results.failed == {DEAD: "its worker was lost twice", "e": "ValueError: this one"}
     assert len(results.outcomes) == 6
-    assert begun(marks)[DEAD] == 4
+    assert begun(marks)[DEAD] == 2
 
 
 def test_what_is_there_is_not_repeated_and_what_failed_is(tmp_path, marks):
@@ -147,6 +151,35 @@ def test_the_local_cluster_listens_on_this_machine_alone(monkeypatch):
         listening = [c.laddr.ip for process in family for c in process.net_connections("inet")
                      if c.status == psutil.CONN_LISTEN]
         assert len(listening) >= 3 and set(listening) == {"127.0.0.1"}
+
+
+@pytest.fixture
+def certificate(tmp_path: Path) -> dict[str, Path]:
+    """A certificate that signs itself, and its key."""
+    if shutil.which("openssl") is None:
+        pytest.skip("no openssl to make a certificate with")
+    cert, key = tmp_path / "cert.pem", tmp_path / "key.pem"
+    subprocess.run(["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes",
+                    "-keyout", key, "-out", cert, "-days", "2", "-subj", "/CN=station",
+                    "-addext", "subjectAltName=IP:127.0.0.1"], check=True, capture_output=True)
+    return {"ca": cert, "cert": cert, "key": key}
+
+
+def test_a_scheduler_over_tls_does_the_cases_and_refuses_who_has_no_key(tmp_path, marks, certificate, monkeypatch):
+    distributed = pytest.importorskip("distributed")
+    security = distributed.Security(tls_ca_file=str(certificate["ca"]), require_encryption=True, **{
+        f"tls_{who}_{what}": str(certificate[what]) for who in ("scheduler", "worker", "client")
+        for what in ("cert", "key")})
+    with distributed.LocalCluster(n_workers=1, threads_per_worker=1, host="127.0.0.1", protocol="tls://",
+                                  security=security, dashboard_address="127.0.0.1:0", silence_logs=50) as there:
+        given = tasks(marks)[:2]
+        results = run_campaign(given, case, tmp_path / "out",
+                               scheduler=cluster.Scheduler(there.scheduler_address, **certificate))
+        assert len(results.outcomes) == 2
+        monkeypatch.setattr(cluster, "PATIENCE", 0.5)
+        with pytest.raises(cluster.WorkError, match="no scheduler answers"):
+            run_campaign([task("z", marks)], case, tmp_path / "out", scheduler=cluster.Scheduler(
+                there.scheduler_address.replace("tls://", "tcp://")))
 
 
 def test_without_dask_a_scheduler_is_one_line(monkeypatch):

@@ -9,7 +9,7 @@ import pytest
 
 from station.campaign.outcome import covers
 from station.campaign.run import Results
-from station.campaign.summary import calibration, confusion, gains, share, shares, summary
+from station.campaign.summary import calibration, confusion, coverage, gains, share, shares, summary
 from tests.campaign.made import BASE, COULOMB, DEAD_ZONE, cause, hidden, outcome
 
 RIGHT = outcome("right", [hidden(DEAD_ZONE, width=3.0)], [cause(DEAD_ZONE, 0.95, {COULOMB: 0.05}, width=(2.0, 4.0))])
@@ -83,6 +83,11 @@ def test_intervals_are_held_against_the_truth_and_an_angle_may_wrap():
     assert [held for _, _, held in BOTH.intervals()] == [False, True]
     assert not list(SWAPPED.intervals()), "a wrong cause has no true value"
     assert covers(3.0, -3.0, 3.1) and covers(3.0, -3.0, -3.1) and not covers(3.0, -3.0, 0.0)
+
+
+def test_coverage_is_told_for_each_parameter():
+    found = {name: (value["count"], value["of"]) for name, value in coverage(ALL).items()}
+    assert found == {"dead_zone@amplifier width": (1, 2), "coulomb_friction@motor torque": (1, 1)}
 
 
 def test_gains_are_medians_by_group():

@@ -14,7 +14,7 @@ from station.runs import export_run, load_run
 from tests.cli.conftest import step_run
 from tests.cli.test_help import COMMANDS, ROOT
 
-SLOW = {"demo", "device", "diagnose", "fit"}
+SLOW = {"campaign", "demo", "device", "diagnose", "fit", "investigate"}
 """Run in tests of their own, on smaller cases (device: until Ctrl-C)."""
 EXAMPLES = {name: command.epilog.removeprefix("Example: ") for name, command in COMMANDS.items()}
 

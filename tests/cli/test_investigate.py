@@ -57,6 +57,18 @@ def test_it_tests_and_diagnoses_until_decided(station, tmp_path, diagnosed):
     assert ended.out.count("next: pulse 60 (open): the rivals differ here") == 2 and "\nDecided: " in ended.out
 
 
+def test_it_chooses_the_first_test_and_diagnoses_in_earnest(station, tmp_path):
+    out = tmp_path / "found"
+    ended = station("investigate", "--port", "sim://sflr?noise=0.5", "--rig", "sflr", "--out", out, "--budget", "1",
+                    "--effort", "quick")
+    assert ended.status == 0, ended.err
+    (run,) = (out / "runs").glob("*.mcap")
+    asked = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))["next_experiment"]["test"]
+    assert load_run(run).metadata.test["kind"] != asked["kind"] and "controller" in asked
+    assert "The budget is spent: 1 run is all" in ended.out and "\nNext: station run " in ended.out
+    assert 'id="figure-next"' in (out / "report.html").read_text(encoding="utf-8")
+
+
 def test_a_cable_pulled_on_the_way_keeps_what_was_found(station, tmp_path, diagnosed):
     out = tmp_path / "found"
     ended = station("investigate", "--port", "sim://sflr?unplug_after=800", "--rig", "sflr", "--out", out, "--first",

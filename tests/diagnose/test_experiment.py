@@ -14,6 +14,7 @@ from station.control.references import reference_from_test
 from station.diagnose.experiment import (
     SHOWS,
     Belief,
+    Blocks,
     Planner,
     Worth,
     _telling,
@@ -114,22 +115,40 @@ def test_what_is_predicted_of_a_choice_is_what_the_two_rivals_do(planner):
 
 def test_effects_that_look_alike_count_but_once(planner):
     base = hypothesis("plain", sigma=0.03)
-    delay = ("delay", effect("input_delay", "amplifier", time=0.003), 0.0)
-    dead = ("dead zone", effect("dead_zone", "amplifier", width=6.0), 0.0)
+    delay = ("delay", effect("input_delay", "amplifier", time=0.003))
+    dead = ("dead zone", effect("dead_zone", "amplifier", width=6.0))
     once, twice, both = (showing(planner, base, some)(STEPS[1:])[0].value
                          for some in ([delay], [delay, delay], [delay, dead]))
     assert once < twice < once + np.log(2.0) + 1e-6 < both
 
 
-def test_what_was_seen_before_is_worth_less(planner):
-    base, dead = hypothesis("plain", sigma=0.03), effect("dead_zone", "amplifier", width=6.0)
-    fresh, seen = (showing(planner, base, [("dead zone", dead, old)])(STEPS)[0].value for old in (0.0, 100.0 * SHOWS))
-    assert seen < 0.3 * fresh
+def test_what_the_runs_so_far_have_shown_is_worth_less(planner):
+    """A dead zone that a small step has shown is no reason for another test; a saturation, which it hides, is."""
+    base = hypothesis("plain", sigma=0.03)
+    dead = ("dead zone", effect("dead_zone", "amplifier", width=6.0))
+    clipped = ("clipping", effect("actuator_saturation", "amplifier", limit=120.0))
+    after = Planner(SFLR, SIGMA, planner.pool, [STEPS[0].as_run(SFLR)])
+    other = Trial({"kind": "triangle", "amplitude": 40.0}, P)
+    fresh, seen = (showing(p, base, [dead])([other])[0].value for p in (planner, after))
+    assert seen < 0.5 * fresh
+    small, large = showing(after, base, [dead, clipped])([other, STEPS[1]])
+    assert small.value < large.value and "1 of 2 effects of a usual size would show that the runs" in large.why
+    assert large.prediction.names == ("plain", "with clipping")
+
+
+def test_blocks_of_runs_add_up_to_what_all_of_them_say_together():
+    rng = np.random.default_rng(2)
+    spread, change, nuisance = rng.normal(size=(3, 40)), rng.normal(size=(2, 40)), rng.normal(size=(2, 20))
+    parts = [Blocks.of(spread[:, half], change[:, half], nuisance) for half in (slice(20), slice(20, None))]
+    apart = np.zeros((4, 40))
+    apart[:2, :20] = apart[2:, 20:] = nuisance
+    whole = absorbed(change, np.concatenate([spread, apart])) @ change.T / SHOWS
+    assert np.allclose((parts[0] + parts[1]).gram(), whole)
 
 
 def worth(trial: Trial, value: float, cost: float) -> Worth:
     return Worth(trial, value, cost, "", Prediction({}, np.zeros(1), np.zeros(1), ("", ""), (np.zeros(1),) * 2, None),
-                 True)
+                 0.0)
 
 
 def test_of_tests_that_are_worth_the_same_the_gentler_is_taken(planner):
@@ -191,6 +210,7 @@ def test_the_first_test_shows_most_of_the_catalogue_and_is_complete(rig):
     assert test.pop("controller")["kind"] in {spec["kind"] for spec in NAMED.values()}
     reference_from_test(test, rig.sample_rate)
     shown, all_ = (int(word) for word in choice.next.why.split() if word.isdigit())
+    assert "effects of a usual size would show, " in choice.next.why
     assert shown >= 0.75 * all_
     assert (choice.prediction.accel is None) == (rig.accelerometer is None)
     assert choice.plan == choice.next

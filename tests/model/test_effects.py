@@ -6,11 +6,13 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from numba import cfunc
 from pydantic import ValidationError
 
 from station.control.references import reference_from_test
 from station.model import stepper
 from station.model.assembly import assemble
+from station.model.compiled import LAW, njit
 from station.model.effects import Effect, Stage, catalogue, effect_class
 from station.model.effects.base import PICTURES, parameter
 from station.model.simulate import Model, Simulation, build, initial_state, simulate, simulate_model
@@ -146,6 +148,30 @@ def test_effect_agrees_with_the_independent_generator_and_a_wrong_one_does_not(r
     assert np.any(differences(rig, outputs) > SEEN * allowed), "off"
     for what, effect in wrong_versions(cls, at, values):
         assert np.any(differences(rig.with_effects([effect]), outputs) > SEEN * allowed), what
+
+
+@pytest.mark.parametrize("key", [key for key in KEYS if effect_class(key[0]).law is not None], ids="@".join)
+def test_a_law_with_the_wrong_sign_or_five_percent_too_much_is_noticed(rig, key, monkeypatch):
+    name, at = key
+    cls, values = effect_class(name), VALUES[key]
+    right, outputs = njit(cls.law), truths([{"effect": name, "at": at, **values}])
+
+    def negated(x, v, w, p, s, h):
+        return -right(x, v, w, p, s, h)
+
+    def larger(x, v, w, p, s, h):
+        return 1.05 * right(x, v, w, p, s, h)
+
+    def address(law) -> int:
+        compiled.append(cfunc(LAW, error_model="numpy")(law))   # without the cache on disk
+        return compiled[-1].address
+
+    compiled: list = []
+    monkeypatch.setattr("station.model.simulate.address", address)
+    for law in (negated, larger):
+        monkeypatch.setattr(cls, "law", staticmethod(law))
+        wrong = differences(rig.with_effects([cls(at=at, **values)]), outputs)
+        assert np.any(wrong > ROUGH.get(key, TOLERANCE)), law.__name__
 
 
 def test_every_kind_of_wrong_is_tried():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import re
 import sys
 from pathlib import Path
 
@@ -9,11 +11,13 @@ import pytest
 
 from station.errors import UsageError
 from station.model import effects
-from station.model.effects import FILES, catalogue, effect_class, load_effects
+from station.model.effects import FILES, base, catalogue, effect_class, load_effects
 from station.model.effects.base import named
 from station.model.simulate import build
 from station.rig import Rig, builtin_rigs, load_rig
 
+ROOT = Path(__file__).resolve().parents[2]
+PAGE, EXAMPLE = ROOT / "docs" / "own_effect.md", ROOT / "scripts" / "own_effect.py"
 EFFECT = """
 from typing import ClassVar
 from station.model.effects.base import Effect, Stage, parameter
@@ -98,6 +102,7 @@ def test_the_option_brings_a_file_and_says_so_to_the_processes_that_follow(tmp_p
     (EFFECT.format(name="own_drag", law="0.0", body='coefficient: float = parameter("1", 0.0)'), "neutral value"),
     (EFFECT.format(name="own_drag", law="0.0", body='rate: float = parameter("Hz", 0.0, neutral=0.0)'), "is made of"),
     (EFFECT.format(name="own_drag", law="0.0", body=PARAMETER + '\n    picture = "nice"'), "picture is one of"),
+    (EFFECT.format(name="own_drag", law="0.0", body=PARAMETER + "\n    states = 1"), "has no states"),
     (EFFECT.format(name="own_drag", law="0.0", body=PARAMETER + '\n    absolute = "rest"'), "names no parameter"),
     (EFFECT.format(name="own_drag", law="0.0", body=PARAMETER + '\n    experiment: ClassVar = {"kind": "kick"}'),
      "experiment: test.kind: 'kick' is none of"),
@@ -155,3 +160,20 @@ def test_a_rig_file_imports_nothing(tmp_path, monkeypatch, name):
     with pytest.raises(UsageError, match="is not an effect"):
         Rig.from_toml(builtin_rigs()["sflr"] + f'\n[[effects]]\neffect = "{name}"\ncoefficient = 0.03\n')
     assert "brought" not in catalogue() and "brought_by_rig" not in sys.modules
+
+
+def test_the_page_on_own_effects_says_what_the_code_says():
+    """Its pieces of code are the example's, its tables the docstrings of the base class and of its module."""
+    text = PAGE.read_text(encoding="utf-8")
+    example = EXAMPLE.read_text(encoding="utf-8")
+    pieces = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
+    assert len(pieces) == 4 and all(piece in example for piece in pieces)
+    plain = " ".join(re.sub(r"[`|\\]", " ", text).split())
+    module = ast.parse(Path(base.__file__).read_text(encoding="utf-8"))
+    effect = next(node for node in module.body if isinstance(node, ast.ClassDef) and node.name == "Effect")
+    told = [node.value.value for node in effect.body[1:] if isinstance(node, ast.Expr)]
+    assert len(told) == 12
+    rows = [line for line in ast.get_docstring(module).splitlines() if re.match("[A-Z_]{3,} {2,}", line)]
+    assert len(rows) == 9
+    for words in [*told, *(cell for row in rows for cell in re.split(" {2,}", row))]:
+        assert " ".join(re.sub("[`|]", " ", words).split()) in plain, words

@@ -8,21 +8,23 @@ An effect is one class in one file of this package.  The class says where it may
 which the stepper compiles once and calls by its address.  ``p`` holds the effect's arguments and ``s`` its
 own states (both indexable), ``h`` the step in s.  What x, v, w and the result mean depends on the stage:
 
-=============  ======================================  =============================  ====================
+=============  ======================================  =============================  =====================
 stage          x, v, w                                 result                         acts
-=============  ======================================  =============================  ====================
+=============  ======================================  =============================  =====================
 COMMAND        command, 0, amplifier.limit (counts)    command, mean over h           in order of ``order``
 TORQUE         angle, speed of the part, 0             torque on it, N m              motor, base
-FRICTION       |speed|, 0, |drive torque| (N m)        level >= 0, N m; x = 0: held   motor, base
+FRICTION       |speed|, 0, |drive torque| (N m)        level >= 0, N m; x = 0: held   motor, base, drive
 GAP            deflection, 0, 0 (rad)                  what exceeds the gap, rad      drive
 SPRING         deflection beyond the gap, speed, 0     torque added, N m              drive, clamp
 ACCEL_INPUT    base speed, 0, beam.length              added acceleration, m/s^2      accelerometer
 ACCEL_FILTER   acceleration now, one step before, 0    filtered, m/s^2                in order of ``order``
 ACCEL_COUNTS   reading with its offset, 0, 0 (counts)  reading, counts                accelerometer
 ENCODER        base angle, 0, 0                        counts added                   encoder
-=============  ======================================  =============================  ====================
+=============  ======================================  =============================  =====================
 
-The three DELAY stages and CLOCK have no law: their one parameter is read by the stepper's set-up.
+Friction at the drive acts on the motor.  The three DELAY stages and CLOCK have no law: their one parameter is read by
+the stepper's set-up.  Torques are solved for by iteration, so that their laws are called several times in a step and
+have no states.
 """
 
 from __future__ import annotations
@@ -69,6 +71,7 @@ PLACES = {Stage.COMMAND: {"amplifier"}, Stage.TORQUE: {"motor", "base"}, Stage.F
           Stage.INPUT_DELAY: {"amplifier"}, Stage.ENCODER_DELAY: {"encoder"}, Stage.ACCEL_DELAY: {"accelerometer"},
           Stage.CLOCK: {"clock"}}
 """Where an effect of each stage may stand."""
+STATEFUL = {Stage.COMMAND, Stage.ACCEL_FILTER}
 LAWLESS = {Stage.INPUT_DELAY, Stage.ENCODER_DELAY, Stage.ACCEL_DELAY, Stage.CLOCK}
 UNIT = re.compile(r"(1|(N|kg|m|s|rad|rev|counts?)(\^\d+)?)([ /](N|kg|m|s|rad|rev|counts?)(\^\d+)?)*")
 """Units as they are written: "N m s^2/rad^2", "1/rev", "1"."""
@@ -105,12 +108,19 @@ class Effect(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     name: ClassVar[str] = ""
+    """What files call it; small letters, digits and underscores, used by no other effect."""
     title: ClassVar[str] = ""
+    """What people call it: in the report, the terminal, the pictures."""
     sites: ClassVar[tuple[str, ...]] = ()
+    """Places where it may stand; each is a possible cause of its own."""
     stage: ClassVar[Stage]
+    """Where in a simulated sample it acts."""
     order: ClassVar[float] = 0.0
+    """Place among the effects of the same stage, where that matters; smaller acts first."""
     states: ClassVar[int] = 0
+    """How many numbers of its own the law carries from step to step, in ``s``; COMMAND and ACCEL_FILTER alone."""
     law: ClassVar[Callable[..., float] | None] = None
+    """The function."""
     needs: ClassVar[tuple[str, ...]] = ()
     """Tables that the rig must have; the table of the place is always needed."""
     absolute: ClassVar[str | None] = None
@@ -195,6 +205,8 @@ def _problems(cls: type[Effect]) -> Iterator[str]:
             yield f"a {cls.stage.value} has one parameter"
     elif not callable(cls.law) or len(inspect.signature(cls.law).parameters) != 6:
         yield "law is a function of x, v, w, p, s, h"
+    if cls.states and cls.stage not in STATEFUL:
+        yield f"a {cls.stage.value} has no states: its law is called several times in a step"
     if cls.picture not in PICTURES:
         yield f"picture is one of {', '.join(sorted(PICTURES))}, not {cls.picture!r}"
     if cls.experiment:
