@@ -3,7 +3,7 @@
 Residuals are (measured - simulated) times a scale per sample, the simulation unrounded so that it is smooth in its
 parameters.  The scale is sqrt(share)/sigma; sigma^2 holds sensor noise, rounding, and what rounding inside the loop
 feeds back (``calibrate``).  While the encoder stands still its rounding error stands still too, so many samples say no
-more than one: ``share`` is the number of independent rounding errors per sample, the counts crossed.  The rig's
+more than one: ``share`` is the number of independent rounding errors per sample.  The rig's
 constants enter as w with log(c/c_nominal) = L w, L L^T their prior covariance, so that their prior is |w|^2; every
 other parameter has a prior of its own.  Per run the starting angle and the accelerometer's offset are nuisances,
 estimated always.
@@ -39,6 +39,11 @@ MISFIT = 3.0
 FEATURES = 60.0
 """Independent errors that a misfit counts for, per run and channel: a few seconds of a few hertz."""
 REALISATIONS = 16
+SMOOTH = 5.0
+"""Samples within which what a model misses stays alike: an encoder that crosses a count in fewer reads it between the
+counts, for its rounding error runs through all its values meanwhile."""
+RESTING = 0.004
+"""Share of a sample while nothing crosses a count: one or two independent errors per rest."""
 WIDE = 1.5
 """Prior sigma of the logarithm of a constant that a hypothesis sets free, and of an effect's size."""
 
@@ -145,7 +150,7 @@ class Problem:
         speed = np.abs(padded[2 * span:] - padded[: -2 * span]) / (2 * span)
         if self.noise[0] > 0.3:
             speed = np.ones_like(speed)
-        share = np.stack([np.clip(speed, 0.02, 1.0), np.ones_like(speed)])[: self.channels]
+        share = np.stack([np.clip(SMOOTH * speed, RESTING, 1.0), np.ones_like(speed)])[: self.channels]
         counts = np.zeros(len(speed))
         counts[window] = 1.0
         return share * counts

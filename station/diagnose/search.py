@@ -28,6 +28,8 @@ n of some thousand (Schwarz 1978)."""
 
 CLOSE = 150.0
 """Twice a log posterior within which two hypotheses are close rivals."""
+HOPELESS = 10.0
+"""Variance of what two causes leave, over the noise's, from which on driving by command is given up."""
 STRAINED, RELAXED = 2.5, 1.0
 """Prior sigmas beyond which a fitted constant counts as strained, and to which it is then brought back."""
 
@@ -438,23 +440,23 @@ def _ladder(problem: Problem, effort: Effort, progress: Callable[[str, float], N
     parent = base_fit(problem)
     search.keep(parent)
     pool = candidates(problem.rig)
-    if search.misfit and max(problem.zero_group) > 0:
+    if not problem.by_command and search.misfit and max(problem.zero_group) > 0:
         # With an unknown zero per run these laws have a free angle per run, fit anything and predict nothing.
         pool = [c for c in pool if c.effect is None or c.effect.absolute is None]
-    for rung in range(effort.rungs + search.misfit):
+    for rung in range(effort.rungs):
         held = set(parent.layout.hypothesis.causes())
         share = (0.1 + 0.8 * rung / effort.rungs, 0.1 + 0.8 * (rung + 1) / effort.rungs)
         child = climb(search, parent, [c for c in pool if c.key not in held], share, 4.0 if rung == 0 else 10.0)
         if child is parent:
             break
         parent = child
-        if rung == 0:
-            parent = recalibrate(search, child)
-        else:
+        if rung > 0:
             look_back(search, parent)
             parent = search.best()
-            if search.misfit:
-                parent = recalibrate(search, parent)
+        if search.misfit or not problem.by_command:
+            parent = recalibrate(search, parent)
         if len(parent.layout.hypothesis.causes()) <= rung:
+            break
+        if rung > 0 and problem.by_command and search.temperature() > HOPELESS:
             break
     return search
