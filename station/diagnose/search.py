@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from station.diagnose.candidates import Candidate, candidates
-from station.diagnose.estimate import Fit, eliminate, fit
+from station.diagnose.estimate import Fit, eliminate, fit, nuisance_priors
 from station.diagnose.problem import FINE, MISFIT, QUICK, Hypothesis, Layout, Problem
 from station.model.effects import Stage
 
@@ -30,8 +30,8 @@ CLOSE = 150.0
 """Twice a log posterior within which two hypotheses are close rivals."""
 HOPELESS = 10.0
 """Variance of what two causes leave, over the noise's, from which on driving by command is given up."""
-STRAINED, RELAXED = 2.5, 1.0
-"""Prior sigmas beyond which a fitted constant counts as strained, and to which it is then brought back."""
+REACHED = 1.5
+"""Variance of what a rig without causes leaves, over the noise's, below which it is fitted to the end."""
 
 
 @dataclass(frozen=True)
@@ -114,17 +114,21 @@ def base_fit(problem: Problem) -> Fit:
     """The best rig without further causes; sets the noise that rounding feeds back on the way."""
     layout = problem.layout(Hypothesis(), {})
     found = fit(problem, layout, layout.prior_mean.copy(), tolerance=2.0)
-    problem.calibrate(layout, found.x, found.start, found.offset)
-    found = fit(problem, layout, found.x, found.start, found.offset)
+    if not problem.by_command:
+        problem.calibrate(layout, found.x, found.start, found.offset)
+        found = fit(problem, layout, found.x, found.start, found.offset)
+    elif found.chi2 < REACHED * problem.samples.sum():
+        found = fit(problem, layout, found.x, found.start, found.offset, jacobian=found.jacobian)
     if found.chi2 > MISFIT * problem.samples.sum():
         problem.weigh(found.residuals)
-        found = fit(problem, layout, found.x, found.start, found.offset)
+        found = fit(problem, layout, found.x, found.start, found.offset, tolerance=2.0,
+                    jacobian=found.jacobian_at(problem.scale))
     return found
 
 
 def child_layout(problem: Problem, parent: Fit, candidate: Candidate, guess: dict[str, float],
-                 ) -> tuple[Layout, np.ndarray, list[np.ndarray]]:
-    """Layout, start and derivatives of a parent's hypothesis with one more cause."""
+                 ) -> tuple[Layout, np.ndarray]:
+    """Layout and start of a parent's hypothesis with one more cause."""
     base = parent.layout
     hypothesis = base.hypothesis + candidate.hypothesis
     sizes = {k: {} for k in range(len(hypothesis.effects))}
@@ -144,36 +148,46 @@ def child_layout(problem: Problem, parent: Fit, candidate: Candidate, guess: dic
     tail = base.zeros + base.gap_places
     if tail and (base.zeros, base.gap_places) == (layout.zeros, layout.gap_places):
         x[-tail:] = parent.x[-tail:]
+    return layout, x
+
+
+def child_jacobian(parent: Fit, layout: Layout) -> list[np.ndarray]:
+    """The parent's derivatives by the constants and nuisances, in a child's coordinates; the effects' are left 0."""
+    base, n = parent.layout, len(layout.paths)
     transform = np.linalg.solve(base.root, layout.root)
-    count = base.size
-    jacobian = [np.concatenate([transform.T @ j[:n], np.zeros((layout.size - n, j.shape[1])), j[count:]])
-                for j in parent.jacobian]
-    return layout, x, jacobian
+    return [np.concatenate([transform.T @ j[:n], np.zeros((layout.size - n, j.shape[1])), j[base.size:]])
+            for j in parent.jacobian]
 
 
 def screen(problem: Problem, parent: Fit, pool: list[Candidate]) -> list[Promise]:
     """Predicted gains of all candidates at their guesses on top of a fitted hypothesis, best first."""
     count = parent.layout.size
-    normal, gradient, _ = eliminate(problem, parent.start, parent.offset, parent.residuals, parent.jacobian, count)
+    normal, gradient, back = eliminate(problem, parent.start, parent.offset, parent.residuals, parent.jacobian, count)
     scale = max(parent.chi2 / float(problem.samples.sum()), 1.0)
     matrix = normal.sum(axis=0) / scale + np.diag(parent.layout.prior_precision)
     force = gradient.sum(axis=0) / scale - parent.layout.prior_precision * (parent.x - parent.layout.prior_mean)
     settled = np.linalg.solve(matrix, force)
+    prior = np.diag(nuisance_priors(problem))
 
     def promise(task: tuple[Candidate, dict[str, float]]) -> Promise:
         candidate, guess = task
-        layout, x, _ = child_layout(problem, parent, candidate, guess)
+        layout, x = child_layout(problem, parent, candidate, guess)
         outputs = problem.outputs(layout, x, parent.start, parent.offset)
-        change = [(new - old).ravel() for new, old in zip(outputs, parent.outputs, strict=True)]
-        if not all(np.all(np.isfinite(c)) for c in change):
-            return Promise(candidate, guess, 0.0, 1.0, 0.0)
-        stacked = [np.concatenate([j[:count], c[None, :], j[count:]])
-                   for j, c in zip(parent.jacobian, change, strict=True)]
-        own, pull, _ = eliminate(problem, parent.start, parent.offset, parent.residuals, stacked, count + 1)
-        own, pull = own.sum(axis=0) / scale, pull.sum(axis=0) / scale
-        cross = own[:count, count]
-        s = float(own[count, count] - cross @ np.linalg.solve(matrix, cross))
-        b = float(pull[count] - cross @ settled)
+        cross, s, b = np.zeros(count), 0.0, 0.0
+        for new, old, j, e, (nuisance, coupling) in zip(outputs, parent.outputs, parent.jacobian, parent.residuals,
+                                                        back, strict=True):
+            change = (new - old).ravel()
+            if not np.all(np.isfinite(change)):
+                return Promise(candidate, guess, 0.0, 1.0, 0.0)
+            products = j @ change
+            own, tied = products[:count], products[count:]
+            inner = j[count:] @ j[count:].T + prior
+            cross += own - coupling.T @ tied
+            s += float(change @ change - tied @ np.linalg.solve(inner, tied))
+            b += float(change @ e.ravel() - tied @ nuisance)
+        cross, s, b = cross / scale, s / scale, b / scale
+        s -= float(cross @ np.linalg.solve(matrix, cross))
+        b -= float(cross @ settled)
         if s <= 1e-9:
             return Promise(candidate, guess, 0.0, 1.0, max(s, 0.0))
         size = b / s
@@ -244,33 +258,6 @@ def _starts_allowed(candidate: Candidate) -> int:
     return 3 if candidate.effect.stage is Stage.GAP else 1 + (len(candidate.guesses) > 4)
 
 
-def _relaxed(found: Fit) -> np.ndarray | None:
-    """Another start where a quick fit strains the constants: the strained ones back near their nominal values.
-
-    Without the right cause the constants bend far to make up for it, into valleys that need not lead back.
-    """
-    constants = len(found.layout.paths)
-    if np.max(np.abs(found.x[:constants])) < STRAINED:
-        return None
-    relaxed = found.x.copy()
-    relaxed[:constants] = np.clip(relaxed[:constants], -RELAXED, RELAXED)
-    return relaxed
-
-
-def _polish(problem: Problem, found: Fit) -> Fit:
-    """A quick fit, fitted to the end; from the better of two starts where constants are strained."""
-    relaxed = _relaxed(found)
-    if relaxed is not None:
-        try:
-            other = fit(problem, found.layout, relaxed, found.start, found.offset, iterations=8, tolerance=2.0,
-                        parallel=False, exact_end=False)
-            found = min(found, other, key=lambda f: f.objective)
-        except ArithmeticError:
-            pass  # that start does not simulate; the quick fit stands
-    return fit(problem, found.layout, found.x, found.start, found.offset, jacobian=found.jacobian, iterations=15,
-               parallel=False)
-
-
 def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float, float], least: float) -> Fit:
     """Fit the most promising further causes on top of a parent; returns the best child, or the parent.
 
@@ -290,10 +277,10 @@ def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float
             chosen.append(promise)
 
     def quick(promise: Promise) -> Fit | None:
-        layout, x, jacobian = child_layout(problem, parent, promise.candidate, _started(promise))
+        layout, x = child_layout(problem, parent, promise.candidate, _started(promise))
         try:
-            return fit(problem, layout, x, parent.start, parent.offset, jacobian=jacobian, parallel=False,
-                       exact_end=False, iterations=10, tolerance=0.5)
+            return fit(problem, layout, x, parent.start, parent.offset, jacobian=child_jacobian(parent, layout),
+                       parallel=False, exact_end=False, iterations=10, tolerance=0.5)
         except (np.linalg.LinAlgError, ArithmeticError):
             return None
 
@@ -310,11 +297,17 @@ def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float
     seen = set()
     for found in fitted:
         key = frozenset(found.layout.hypothesis.causes())
-        if key not in seen and len(seen) < effort.exact:
+        near = found.objective < fitted[0].objective + max(CLOSE, 0.2 * (parent.objective - fitted[0].objective))
+        if key not in seen and len(seen) < effort.exact and near:
             seen.add(key)
             exact.append(found)
     best = parent
-    for index, found in enumerate(problem.pool.map(lambda f: _polish(problem, f), exact)):
+
+    def to_the_end(found: Fit) -> Fit:
+        return fit(problem, found.layout, found.x, found.start, found.offset, jacobian=found.jacobian, iterations=15,
+                   parallel=False)
+
+    for index, found in enumerate(problem.pool.map(to_the_end, exact)):
         search.keep(found)
         search.progress(f"fitted {found.layout.hypothesis.label}",
                         share[0] + (share[1] - share[0]) * (0.6 + 0.4 * (index + 1) / len(exact)))
