@@ -38,7 +38,7 @@ sys.path.insert(0, str(ROOT))
 from station.control.named import NAMED  # noqa: E402
 from station.control.references import reference_from_test  # noqa: E402
 from station.runs.run import Run, RunMetadata  # noqa: E402
-from tests.truth import SFLR, Truth, effect_names, make_case  # noqa: E402
+from tests.truth import SFLR, Case, Truth, effect_names, make_case  # noqa: E402
 
 BATTERY: tuple[dict[str, Any], ...] = (
     {"kind": "pulse", "amplitude": 100.0, "controller": NAMED["open"]},
@@ -50,14 +50,24 @@ BATTERY: tuple[dict[str, Any], ...] = (
 )
 """The kinds and sizes of the laboratory's own logs, and a smaller pulse."""
 WANTED = 0.6
-CASES, FIRST_SEED = 40, 7000
+CASES, FIRST_SEED, DRAWS = 40, 7000, 5
 Hidden = tuple[str, str | None]
+
+
+def drawn(seed: int, wanted: list[Any]) -> Case:
+    """The case of a seed, or where no size on that rig is clear, of the first further one whose is."""
+    for attempt in range(DRAWS):
+        try:
+            return make_case(seed + attempt * 100_000, wanted, count=5, band="clear")
+        except ValueError as error:
+            reason = error
+    raise ValueError(reason)
 
 
 def device(seed: int, hidden: Hidden | None) -> tuple[Callable[[dict[str, Any], dict[str, Any]], Run], dict[str, Any]]:
     """The rig of a case as something that runs tests, and what is hidden in it."""
     wanted = [] if hidden is None else [(hidden[0], hidden[1]) if hidden[1] else hidden[0]]
-    case = make_case(seed, wanted, count=5, band="clear")
+    case = drawn(seed, wanted)
     truth = Truth(case.rig, case.effects)
     rng = np.random.default_rng([seed, 0x1A])
     sigma = case.conditions[0].accel_sigma

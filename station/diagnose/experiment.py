@@ -231,7 +231,7 @@ class Planner:
         finer = [leading.sized(factor, most(leading, self.rig)) for factor in REFINED]
         judged += judge([trial for trial in finer if trial not in start])
         top = max(w.value for w in judged)
-        return min((w for w in judged if w.value >= (1.0 - SLACK) * top), key=lambda w: w.cost)
+        return min((w for w in judged if w.value >= top - SLACK * abs(top)), key=lambda w: w.cost)
 
     def worth(self, trial: Trial, value: float) -> float:
         """Less where it was run already."""
@@ -337,6 +337,8 @@ def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]
     usual size.  ``bold``: where else the rig may stand; a trial must behave there too.
     """
     first = base.model(base.x)
+    k, m = base.axes.shape[1], len(effects)
+    nothing = Blocks(np.zeros((k, k)), np.zeros((k, m)), np.zeros((m, m)))
     models = list(planner.pool.map(lambda row: _built(first.rig.with_effects((*first.rig.effects, row[1]))), effects))
 
     def looked(runs: Sequence[Run]) -> list[tuple[Forecast, list[np.ndarray], Blocks]]:
@@ -347,6 +349,9 @@ def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]
         found = []
         for r, run in enumerate(runs):
             outputs = [every[r] for every in changed]
+            if not np.all(np.isfinite(here[r].mean)):
+                found.append((here[r], outputs, nothing))
+                continue
             scale = planner.scales(first, run, here[r].mean)
             change = np.stack([((output - here[r].mean) * scale).ravel() for output in outputs])
             change[~np.all(np.isfinite(change), axis=1)] = 0.0
@@ -354,9 +359,7 @@ def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]
             found.append((here[r], outputs, Blocks.of(spread, change, planner.nuisances(scale))))
         return found
 
-    k, m = base.axes.shape[1], len(effects)
-    past = sum((blocks for _, _, blocks in looked(planner.runs[:PAST])),
-               Blocks(np.zeros((k, k)), np.zeros((k, m)), np.zeros((m, m))))
+    past = sum((blocks for _, _, blocks in looked(planner.runs[:PAST])), nothing)
     known = past.gram()
     old = np.diag(known)
     before = np.linalg.slogdet(np.eye(m) + known)[1]

@@ -20,8 +20,9 @@ SOFT = {**P, "gain": 1.0}
 OPEN = NAMED["open"]
 LEAD = NAMED["lead"]
 BOTH = NAMED["lead-accel"]
-USUAL_TURN = 1024.0
-"""Counts per revolution of the encoder that the amplitudes below are meant for; others scale with it."""
+USUAL_TURN, USUAL_LIMIT = 1024.0, 200.0
+"""Counts per revolution of the encoder and the amplifier's limit that the amplitudes below and the compensators' gains
+are meant for; with others they scale, so that the same angle asks for the same share of the limit."""
 CLOSED: tuple[tuple[dict[str, Any], dict[str, Any]], ...] = (
     ({"kind": "step", "amplitude": 20}, P),
     ({"kind": "step", "amplitude": 60}, P),
@@ -112,17 +113,18 @@ def most(trial: Trial, rig: Rig) -> float:
 def trials(rig: Rig, causes: Sequence[tuple[str, str]] = ()) -> list[Trial]:
     """Tests worth a thought on this rig, and those that the effects among ``causes`` are best told by."""
     scale = rig.encoder.counts_per_revolution / USUAL_TURN
+    strength = rig.amplifier.limit / USUAL_LIMIT / scale
     found = []
     for test, controller in CLOSED:
         if controller is not BOTH or _has_both(rig):
-            found.append(Trial(test, controller).sized(scale, math.inf))
+            found.append(Trial(test, _scaled(controller, strength)).sized(scale, math.inf))
     for test in DRIVEN:
         found.append(Trial(test, OPEN).sized(rig.amplifier.limit, rig.amplifier.limit))
     for name, _ in causes:
         told = {} if name.startswith("parameter:") else dict(effect_class(name).experiment)
         controller = NAMED.get(told.pop("controller", "open" if told.get("kind") in ("pulse", "pulse_train") else "p"))
         if told and controller is not None and (controller is not BOTH or _has_both(rig)):
-            trial = Trial({"amplitude": defaults(told["kind"])["amplitude"], **told}, controller)
+            trial = Trial({"amplitude": defaults(told["kind"])["amplitude"], **told}, _scaled(controller, strength))
             found.append(trial.sized(scale if trial.closed else 1.0, most(trial, rig)))
     usable = []
     for trial in found:
@@ -132,5 +134,14 @@ def trials(rig: Rig, causes: Sequence[tuple[str, str]] = ()) -> list[Trial]:
     return usable
 
 
+def _scaled(controller: dict[str, Any], strength: float) -> dict[str, Any]:
+    """A compensator of another gain, three digits of it."""
+    if "gain" not in controller or strength == 1.0:
+        return controller
+    return {**controller, "gain": float(f"{controller['gain'] * strength:.3g}")}
+
+
 def _has_both(rig: Rig) -> bool:
-    return rig.accelerometer is not None and rig.sample_rate == SAMPLED_AT
+    """Whether the accelerometer's compensator, whose coefficients are given sampled, suits a rig."""
+    return (rig.accelerometer is not None and rig.sample_rate == SAMPLED_AT and rig.amplifier.limit == USUAL_LIMIT
+            and rig.encoder.counts_per_revolution == USUAL_TURN)

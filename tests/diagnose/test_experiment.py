@@ -161,6 +161,7 @@ def test_of_tests_that_are_worth_the_same_the_gentler_is_taken(planner):
     table[str(gentle.test)] = (0.8, 0.5)
     assert planner.best(judge, [gentle, hard]).trial == hard
     assert planner.best(lambda tried: [], [gentle]) is None
+    assert planner.best(lambda tried: [worth(trial, -1e-12, 1.0) for trial in tried], [gentle]) is not None
 
 
 def made(test: dict, controller: dict) -> Run:
@@ -192,6 +193,14 @@ def test_every_test_is_one_that_the_station_can_run(rig):
         assert trial.closed or np.max(np.abs(reference)) <= rig.amplifier.limit
         assert asked["amplitude"] == round(asked["amplitude"]) and {"duration", "rest"} <= asked.keys()
         assert controller["kind"] != "lead_accel" or rig.accelerometer is not None
+
+
+def test_a_finer_encoder_is_asked_for_the_same_angles_at_the_same_effort():
+    for trial in (t for t in trials(AXIS) if t.closed and t.controller["kind"] == "p"):
+        counterparts = [t for t in trials(SFLR) if t.test["kind"] == trial.test["kind"]
+                        and t.amplitude == trial.amplitude / 4.0 and t.controller["kind"] == "p"]
+        efforts = {t.amplitude * t.controller["gain"] / SFLR.amplifier.limit for t in counterparts}
+        assert trial.amplitude * trial.controller["gain"] / AXIS.amplifier.limit in efforts
 
 
 def test_a_test_that_would_throw_the_rig_about_is_not_chosen(planner):
