@@ -77,7 +77,8 @@ class Search:
     @property
     def misfit(self) -> bool:
         """Whether even the best leaves more than noise; then what it predicts of unseen runs decides."""
-        return bool(np.any(self.problem.temper > 1.0))
+        least = min(found.chi2 for found in self.fits.values())
+        return bool(np.any(self.problem.temper > 1.0)) or least > MISFIT * float(self.problem.samples.sum())
 
     def temperature(self) -> float:
         """Scale of what the best hypothesis leaves, 1 where it reaches the noise."""
@@ -111,15 +112,23 @@ class Search:
 
 
 def base_fit(problem: Problem) -> Fit:
-    """The best rig without further causes; sets the noise that rounding feeds back on the way."""
+    """The best rig without further causes; in closed loops sets the noise that rounding feeds back on the way."""
     layout = problem.layout(Hypothesis(), {})
+    samples = problem.samples.sum()
     found = fit(problem, layout, layout.prior_mean.copy(), tolerance=2.0)
-    if not problem.by_command:
-        problem.calibrate(layout, found.x, found.start, found.offset)
-        found = fit(problem, layout, found.x, found.start, found.offset)
-    elif found.chi2 < REACHED * problem.samples.sum():
-        found = fit(problem, layout, found.x, found.start, found.offset, jacobian=found.jacobian)
-    if found.chi2 > MISFIT * problem.samples.sum():
+    if problem.by_command:
+        if found.chi2 > REACHED * samples:
+            problem.by_command = False  # a controller keeps a poor model near the data: another start
+            other = fit(problem, layout, layout.prior_mean.copy(), tolerance=10.0)
+            problem.by_command = True
+            other = fit(problem, layout, other.x, other.start, other.offset, tolerance=2.0)
+            found = min(found, other, key=lambda f: f.objective)
+        if found.chi2 < REACHED * samples:
+            found = fit(problem, layout, found.x, found.start, found.offset, jacobian=found.jacobian)
+        return found
+    problem.calibrate(layout, found.x, found.start, found.offset)
+    found = fit(problem, layout, found.x, found.start, found.offset)
+    if found.chi2 > MISFIT * samples:
         problem.weigh(found.residuals)
         found = fit(problem, layout, found.x, found.start, found.offset, tolerance=2.0,
                     jacobian=found.jacobian_at(problem.scale))
@@ -345,8 +354,6 @@ def look_back(search: Search, found: Fit) -> None:
     """Fit every set with one cause less, from where the whole set ended: each cause must hold against its absence."""
     problem, layout = search.problem, found.layout
     n, causes = len(layout.paths), layout.hypothesis.causes()
-    if len(causes) < 2:
-        return
     sizes = _sizes(layout, found.x)
 
     def without(left_out: int) -> Fit | None:
@@ -443,10 +450,9 @@ def _ladder(problem: Problem, effort: Effort, progress: Callable[[str, float], N
         if child is parent:
             break
         parent = child
-        if rung > 0:
-            look_back(search, parent)
-            parent = search.best()
-        if search.misfit or not problem.by_command:
+        look_back(search, parent)
+        parent = search.best()
+        if not problem.by_command and (rung == 0 or search.misfit):
             parent = recalibrate(search, parent)
         if len(parent.layout.hypothesis.causes()) <= rung:
             break
