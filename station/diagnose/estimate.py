@@ -29,6 +29,12 @@ OFFSET_STEP = 0.1
 """Finite-difference step of the accelerometer's offset, counts."""
 POOR = 0.5
 """Share of the predicted gain below which derivatives are computed afresh."""
+DAMPING, LEAST_DAMPING = 1.0, 0.01
+"""Of steps, near the end in units of the prior's information, so that it holds back only what the data hardly see."""
+FAR_OFF = 1e-3
+"""The same before, in units of the information itself (Marquardt 1963)."""
+REACHED = 1.5
+"""Variance of what is left, over the noise's, below which a quick fit ends where its derivatives lead no further."""
 CORRECTIONS, STIFF = 3, 100.0
 """Steps back to a valley's floor, and the information (1/prior sigma^2) below which they leave a direction alone."""
 FAR = 100.0
@@ -236,15 +242,15 @@ class _Descent:
         return self.at(here.x + step, start, offset)
 
     def lower(self, here: _Point, jac: list[np.ndarray], matrix: np.ndarray, force: np.ndarray, back: list[tuple],
-              scale: float, damping: float) -> tuple[_Point | None, float]:
+              scale: float, damping: float, metric: np.ndarray, tries: int) -> tuple[_Point | None, float]:
         """A point with a lower objective, if one is found, and the damping that led there.
 
         A step along a narrow bent valley ends on its side.  Up to CORRECTIONS further steps with the same derivatives,
         across the valley alone (STIFF holds what the data hardly see), bring it back to the floor before it is judged.
         """
         stiff = matrix + STIFF * np.eye(self.count)
-        for _ in range(5):
-            damped = matrix + damping * np.diag(np.diag(matrix))
+        for _ in range(tries):
+            damped = matrix + damping * metric
             trial = self.step(here, damped, force, back)
             for _ in range(CORRECTIONS):
                 if trial is None or trial.objective < here.objective or trial.data > FAR * here.data:
@@ -265,7 +271,8 @@ def fit(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray | Non
     """Minimise chi^2 plus priors from ``x``; ``tolerance`` is the fall of the objective that ends it.
 
     ``weights`` (runs) of 0 leave a run out of the fit; its nuisances follow all the same.  ``jacobian`` (per run
-    (p + nuisances, channels n)) starts the quick way; ``exact_end`` computes the derivatives afresh before it ends.
+    (p + nuisances, channels n)) starts the quick way; ``exact_end`` computes the derivatives afresh before it ends, as
+    often as that helps (without it once, and only while much is left).
     A step that gains less than the share ``poor`` of what was predicted asks for fresh derivatives (infinite: always).
     ``parallel`` spreads the work over the problem's threads; not from one of them.
     """
@@ -276,7 +283,7 @@ def fit(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray | Non
         raise ArithmeticError("the fit's start does not simulate")
     jac = descent.afresh(here, STEP * np.eye(layout.size)) if jacobian is None else [j.copy() for j in jacobian]
     drift = 0.0 if jacobian is None else np.inf
-    along_axes, damping = False, 1e-3
+    along_axes, damping = False, DAMPING
     normal, gradient, back = descent.eliminated(here, jac)
     for _ in range(iterations):
         if drift > 0.0 and descent.effects:
@@ -285,23 +292,27 @@ def fit(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray | Non
         scale = max(here.data / descent.samples, 1.0)
         matrix = np.tensordot(descent.weights, normal, 1) / scale + np.diag(descent.prior)
         force = descent.weights @ gradient / scale - descent.prior * (here.x - layout.prior_mean)
-        found, damping = descent.lower(here, jac, matrix, force, back, scale, damping)
+        metric = np.eye(layout.size) if along_axes else FAR_OFF * np.diag(np.diag(matrix))
+        found, damping = descent.lower(here, jac, matrix, force, back, scale, damping, metric,
+                                       5 if drift == 0.0 else 3)
         gain = ratio = 0.0
         if found is not None:
             step = found.x - here.x
             gain = here.objective - found.objective
             ratio = gain / max(float(2.0 * force @ step - step @ matrix @ step), 1e-300)
             drift += float(step @ matrix @ step)
-            damping = max(damping / 10.0, 1e-9)
+            damping = max(damping / 10.0, LEAST_DAMPING)
             _broyden(jac, here, found, layout.size, descent.nuisance_prior)
             here = found
             normal, gradient, back = descent.eliminated(here, jac)
         if gain >= tolerance and (ratio > poor or not exact_end):
             continue
-        if not exact_end or (gain < tolerance and drift < SETTLED and along_axes):
+        if (gain < tolerance and drift < SETTLED and along_axes) or (not exact_end and along_axes):
+            break
+        if not exact_end and here.data < REACHED * descent.samples:
             break
         jac = descent.afresh(here, descent.axes(normal, max(here.data / descent.samples, 1.0)))
-        along_axes, drift, damping = True, 0.0, min(damping, 1e-3)
+        along_axes, drift, damping = True, 0.0, min(damping, DAMPING)
         normal, gradient, back = descent.eliminated(here, jac)
     return Fit(layout, here.x, here.start, here.offset, here.objective, here.costs, here.penalty, normal, gradient,
                here.residuals, here.outputs, jac, [s.copy() for s in problem.scale])

@@ -30,6 +30,10 @@ CLOSE = 150.0
 """Twice a log posterior within which two hypotheses are close rivals."""
 HOPELESS = 10.0
 """Variance of what two causes leave, over the noise's, from which on driving by command is given up."""
+PROMISED = 3
+"""Starts that screening promised most of, which are fitted further wherever their quick fit ended."""
+HALFWAY = 3.0
+"""Fall of a fit's objective per step at which the promising are compared once more."""
 REACHED = 1.5
 """Variance of what a rig without causes leaves, over the noise's, below which it is fitted to the end."""
 
@@ -299,22 +303,30 @@ def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float
             fitted.append(found)
         text = f"tried {chosen[index].candidate.hypothesis.label}"
         search.progress(text, share[0] + (share[1] - share[0]) * 0.6 * (index + 1) / len(chosen))
+    begun = list(fitted)
     fitted.sort(key=lambda f: f.objective)
     for found in fitted:
         search.keep(found)
-    exact = []
-    seen = set()
-    for found in fitted:
-        key = frozenset(found.layout.hypothesis.causes())
-        near = found.objective < fitted[0].objective + max(CLOSE, 0.2 * (parent.objective - fitted[0].objective))
-        if key not in seen and len(seen) < effort.exact and near:
-            seen.add(key)
-            exact.append(found)
     best = parent
 
+    def further(found: Fit, tolerance: float = HALFWAY) -> Fit:
+        return fit(problem, found.layout, found.x, found.start, found.offset, jacobian=found.jacobian,
+                   iterations=15 if tolerance == HALFWAY else 40, tolerance=tolerance, parallel=False)
+
+    nearest = _nearest(fitted, parent, 0.8, effort.exact + 2)
+    sets = {frozenset(f.layout.hypothesis.causes()) for f in nearest}
+    for found in begun[:PROMISED]:
+        key = frozenset(found.layout.hypothesis.causes())
+        if key not in sets:
+            nearest.append(search.fits[key])
+            sets.add(key)
+    halfway = list(problem.pool.map(further, nearest))
+    for found in halfway:
+        search.keep(found)
+    exact = _nearest(sorted(halfway, key=lambda f: f.objective), parent, 0.2, effort.exact)
+
     def to_the_end(found: Fit) -> Fit:
-        return fit(problem, found.layout, found.x, found.start, found.offset, jacobian=found.jacobian, iterations=15,
-                   parallel=False)
+        return further(found, 0.1)
 
     for index, found in enumerate(problem.pool.map(to_the_end, exact)):
         search.keep(found)
@@ -328,6 +340,16 @@ def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float
         if above and set(parent.layout.hypothesis.causes()) < keys:
             best = found
     return best
+
+
+def _nearest(fitted: list[Fit], parent: Fit, share: float, most: int) -> list[Fit]:
+    """The best fit of each set of causes, best first, as far as it buys what the best of all buys but for a share."""
+    found: dict[frozenset[tuple[str, str]], Fit] = {}
+    for one in fitted:
+        least = fitted[0].objective
+        if one.objective < least + max(CLOSE, share * (parent.objective - least)):
+            found.setdefault(frozenset(one.layout.hypothesis.causes()), one)
+    return list(found.values())[:most]
 
 
 def _borrow(search: Search, keys: list[frozenset[tuple[str, str]]]) -> None:
