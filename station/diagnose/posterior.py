@@ -82,15 +82,21 @@ def is_beyond(search: Search, found: Fit, key: Key, sigmas: float = 3.0) -> bool
     return deviation(found, {p: rig.sigma(p) for p in paths}, rig.log_covariance(paths), path) > sigmas
 
 
-def estimates(search: Search, found: Fit) -> tuple[dict[Key, dict[str, Estimate]], dict[str, Estimate]]:
-    """Fitted parameters of each cause, and the rig's constants, with 95 % intervals."""
+def estimates(search: Search, found: Fit, rougher: Fit | None = None,
+              ) -> tuple[dict[Key, dict[str, Estimate]], dict[str, Estimate]]:
+    """Fitted parameters of each cause, and the rig's constants, with 95 % intervals.
+
+    ``rougher``: the same set fitted with coarser simulations; how far it lies from ``found`` is what the simulation's
+    own steps leave uncertain, and is added to the variance.
+    """
     temperature, layout = search.temperature(), found.layout
     covariance = found.covariance(temperature)
-    deviations = np.sqrt(np.diag(covariance))
+    shift = np.zeros(layout.size) if rougher is None else found.x - rougher.x
+    deviations = np.sqrt(np.diag(covariance) + shift**2)
     found_states = layout_states(layout, covariance, found.x)
     n = len(layout.paths)
     nominal = search.problem.rig.constants()
-    log_sd = np.sqrt(np.diag(layout.root @ covariance[:n, :n] @ layout.root.T))
+    log_sd = np.sqrt(np.diag(layout.root @ covariance[:n, :n] @ layout.root.T) + (layout.root @ shift[:n]) ** 2)
     constants = {}
     for i, path in enumerate(layout.paths):
         value, spread = nominal[path] * math.exp(found.logs[i]), math.exp(1.96 * log_sd[i])

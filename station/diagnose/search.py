@@ -451,7 +451,7 @@ def explore(problem: Problem, effort: Effort, progress: Callable[[str, float], N
     search = _ladder(problem, effort, progress)
     if search.misfit and any(run.metadata.controller.get("kind") != "open" for run in problem.runs):
         problem.close_loops()
-        search = _ladder(problem, effort, progress)
+        search = _ladder(problem, Effort(EFFORTS["quick"].fits, EFFORTS["quick"].exact, effort.rungs), progress)
     return search
 
 
