@@ -19,10 +19,10 @@ from station.diagnose.estimate import Fit, eliminate, fit, nuisance_priors
 from station.diagnose.problem import FINE, MISFIT, QUICK, Hypothesis, Layout, Problem
 from station.model.effects import Stage
 
-LOG_PRIOR = -10.0
-"""Log prior odds that any one further cause is present: about one in twenty thousand each: a false
+LOG_PRIOR = -7.0
+"""Log prior odds that any one further cause is present: about one in a thousand each: a false
 alarm costs a lab more than one more test."""
-LOG_PRIOR_PARAMETER = -4.0
+LOG_PRIOR_PARAMETER = -2.5
 """Each further parameter of one effect: a law that holds a simpler one must earn its parameters; log(n)/2 of the usual
 n of some thousand (Schwarz 1978)."""
 
@@ -467,6 +467,9 @@ def _ladder(problem: Problem, effort: Effort, progress: Callable[[str, float], N
         pool = [c for c in pool if c.effect is None or c.effect.absolute is None]
     for rung in range(effort.rungs):
         held = set(parent.layout.hypothesis.causes())
+        if rung > 0 and problem.clock is None:
+            # Beside another cause a clock is but one more way to move the constants, which no data tell from theirs.
+            pool = [c for c in pool if c.effect is None or c.effect.stage is not Stage.CLOCK]
         share = (0.1 + 0.8 * rung / effort.rungs, 0.1 + 0.8 * (rung + 1) / effort.rungs)
         child = climb(search, parent, [c for c in pool if c.key not in held], share, 4.0 if rung == 0 else 10.0)
         if child is parent:

@@ -12,7 +12,7 @@ def torque(x, v, w, p, s, h):
 
 
 class TorqueRipple(Effect):
-    """A torque on the motor with a fixed number of cycles per revolution; at least one, or it were no ripple."""
+    """A torque on the motor with a fixed number of cycles per revolution."""
 
     name, title = "torque_ripple", "torque ripple"
     sites: ClassVar = ("motor",)
@@ -24,7 +24,7 @@ class TorqueRipple(Effect):
                "angle, encoder eccentricity leaves the acceleration alone")
 
     amplitude: float = parameter("N m", 0.0, neutral=0.0)
-    cycles: float = parameter("1/rev", 1.0, 200.0)
+    cycles: float = parameter("1/rev", 0.5, 200.0)
     phase: float = parameter("rad", -math.pi, math.pi, periodic=True)
 
     @classmethod
