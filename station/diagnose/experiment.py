@@ -28,7 +28,7 @@ import numpy as np
 
 from station.diagnose.candidates import candidates
 from station.diagnose.estimate import Fit
-from station.diagnose.noise import ACCEL_DEFAULT, QUANTISATION
+from station.diagnose.noise import ACCEL_DEFAULT, QUANTISATION, rounding_shares
 from station.diagnose.posterior import Odds
 from station.diagnose.problem import ELEMENTS, LONGEST, LONGEST_GAP, TRUNCATION
 from station.diagnose.result import NextExperiment, Prediction, Verdict
@@ -73,8 +73,6 @@ PAST = 8
 """Runs whose part in what is known already is worked out, the longest."""
 BOLD = 6
 """Draws from the rig's stated uncertainty on which the first test must behave."""
-SPAN = 10
-"""Rows either side over which the encoder's speed is taken."""
 
 
 @dataclass(frozen=True)
@@ -169,9 +167,8 @@ class Planner:
 
     def scales(self, model: Model, run: Run, mean: np.ndarray) -> np.ndarray:
         """Weight of every sample (channels, n): see ``problem`` for shares and for what rounding feeds back."""
-        padded = np.pad(mean[0], SPAN, mode="edge")
-        speed = np.abs(padded[2 * SPAN:] - padded[: -2 * SPAN]) / (2 * SPAN)
-        share = np.stack([np.clip(speed, 0.02, 1.0), np.ones_like(speed)])[: self.channels]
+        rounded = rounding_shares(mean[0])
+        share = np.stack([rounded, np.ones_like(rounded)])[: self.channels]
         variance = self.sigma**2
         if run.metadata.controller["kind"] != "open":
             angle = 0.4 * self.rig.angle_per_count

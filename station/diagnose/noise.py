@@ -11,6 +11,24 @@ QUANTISATION = 1.0 / 12.0
 ACCEL_DEFAULT = 1.0
 """Standard deviation of an accelerometer's noise, counts, where no run shows it at rest."""
 
+SMOOTH = 5.0
+"""Samples within which what a model misses stays alike: an encoder that crosses a count in fewer reads it between the
+counts, for its rounding error runs through all its values meanwhile."""
+RESTING = 0.004
+"""Share of a sample while nothing crosses a count: one or two independent errors per rest."""
+SPAN = 10
+"""Rows either side over which the encoder's speed is taken."""
+
+
+def rounding_shares(encoder: np.ndarray) -> np.ndarray:
+    """Independent rounding errors per sample (n) of an encoder's readings (n), counts; 1 while it moves.
+
+    While nothing moves the rounding error stands still, too, so that many samples say no more than one.
+    """
+    padded = np.pad(encoder, SPAN, mode="edge")
+    speed = np.abs(padded[2 * SPAN:] - padded[: -2 * SPAN]) / (2 * SPAN)
+    return np.clip(SMOOTH * speed, RESTING, 1.0)
+
 
 def rest_rows(run: Run) -> int:
     """Number of first rows in which nothing has been asked of the rig and nothing has moved."""

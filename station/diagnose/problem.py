@@ -19,7 +19,7 @@ from typing import Literal
 
 import numpy as np
 
-from station.diagnose.noise import QUANTISATION, noise_sigmas, rest_rows
+from station.diagnose.noise import QUANTISATION, noise_sigmas, rest_rows, rounding_shares
 from station.model.effects import Effect, ParameterInfo, Stage
 from station.model.simulate import Model, Simulation, build, simulate_model
 from station.rig import Rig
@@ -39,11 +39,6 @@ MISFIT = 3.0
 FEATURES = 60.0
 """Independent errors that a misfit counts for, per run and channel: a few seconds of a few hertz."""
 REALISATIONS = 16
-SMOOTH = 5.0
-"""Samples within which what a model misses stays alike: an encoder that crosses a count in fewer reads it between the
-counts, for its rounding error runs through all its values meanwhile."""
-RESTING = 0.004
-"""Share of a sample while nothing crosses a count: one or two independent errors per rest."""
 WIDE = 1.5
 """Prior sigma of the logarithm of a constant that a hypothesis sets free, and of an effect's size."""
 
@@ -145,13 +140,9 @@ class Problem:
 
     def _shares(self, run: Run, window: slice) -> np.ndarray:
         """Independent errors per sample (channels, n)."""
-        span = 10
-        padded = np.pad(run.encoder, span, mode="edge")
-        speed = np.abs(padded[2 * span:] - padded[: -2 * span]) / (2 * span)
-        if self.noise[0] > 0.3:
-            speed = np.ones_like(speed)
-        share = np.stack([np.clip(SMOOTH * speed, RESTING, 1.0), np.ones_like(speed)])[: self.channels]
-        counts = np.zeros(len(speed))
+        rounded = np.ones_like(run.encoder) if self.noise[0] > 0.3 else rounding_shares(run.encoder)
+        share = np.stack([rounded, np.ones_like(rounded)])[: self.channels]
+        counts = np.zeros(len(rounded))
         counts[window] = 1.0
         return share * counts
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from station.diagnose.noise import ACCEL_DEFAULT, noise_sigmas, rest_rows
+from station.diagnose.noise import ACCEL_DEFAULT, RESTING, noise_sigmas, rest_rows, rounding_shares
 from station.runs.run import Run, RunMetadata
 
 
@@ -73,3 +73,11 @@ def test_without_a_rest_the_default_stands_and_rests_on_one_row():
 def test_a_rig_without_accelerometer_rests_on_its_encoder():
     encoder, accel, rows = noise_sigmas([made(100, accel=False, encoder_sigma=0.0)])
     assert (encoder, accel, rows) == (0.0, pytest.approx(ACCEL_DEFAULT), 99)
+
+
+def test_a_reading_at_rest_counts_for_one_or_two_and_a_moving_one_for_all():
+    rest, ramp = np.full(500, 3.0), np.floor(0.4 * np.arange(500))
+    assert rounding_shares(rest).sum() == pytest.approx(500 * RESTING) and 1.0 <= 500 * RESTING <= 2.0
+    assert np.all(rounding_shares(ramp)[20:-20] == 1.0)
+    slow = rounding_shares(np.floor(0.05 * np.arange(2000)))[50:-50]
+    assert 0.1 < slow.mean() < 0.5
