@@ -244,7 +244,8 @@ class Problem:
                 coordinates.append(coordinate)
                 if cls.stage is Stage.CLOCK and self.clock is not None:
                     mean.append(coordinate.to_x(self.clock[0]))
-                    precision.append((self.clock[0] / self.clock[1]) ** 2)
+                    unit = self.clock[0] if coordinate.log else coordinate.scale
+                    precision.append((unit / self.clock[1]) ** 2)
                     continue
                 mean.append(coordinate.to_x(value))
                 precision.append(WIDE**-2 if log else (0.1 if info.periodic else 0.25))
