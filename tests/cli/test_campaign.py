@@ -9,8 +9,6 @@ import pytest
 
 from tests.cli.conftest import step_run
 
-pytest_plugins = ["tests.cli.conftest"]
-
 PLAN = """
 effort = "quick"
 [blind]
