@@ -2,8 +2,9 @@
 
 Screening linearises about the parent's fit: with D what a candidate of a guessed size changes in the outputs, and the
 parent's own parameters and nuisances eliminated, the fall of chi^2 is b^2/s at the size a = b/s, s = D'D and b = D'e
-after elimination.  The most promising are fitted, quickly first, then exactly.  Every fitted set of causes is kept;
-probabilities come from all of them together (see posterior).
+after elimination.  The most promising are fitted: all quickly, the best of these and the most promised further, the
+best of these to the end.  Every fitted set of causes is kept; probabilities come from all of them together (see
+posterior).
 """
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ from station.diagnose.problem import FINE, MISFIT, QUICK, Hypothesis, Layout, Pr
 from station.model.effects import Stage
 
 LOG_PRIOR = -7.0
-"""Log prior odds that any one further cause is present: about one in a thousand each: a false
-alarm costs a lab more than one more test."""
+"""Log prior odds that any one further cause is present, about one in a thousand: a false alarm costs a lab more than
+one more test."""
 LOG_PRIOR_PARAMETER = -2.5
-"""Each further parameter of one effect: a law that holds a simpler one must earn its parameters; log(n)/2 of the usual
-n of some thousand (Schwarz 1978)."""
+"""Each further parameter of one effect, beside what the evidence itself asks of it: a law that holds a simpler one must
+earn its parameters."""
 
 CLOSE = 150.0
 """Twice a log posterior within which two hypotheses are close rivals."""
@@ -47,7 +48,7 @@ class Effort:
     exact: int
     """Of these, how many are fitted to the end."""
     rungs: int
-    """Most causes in one hypothesis; one more where even that leaves more than noise."""
+    """Most causes in one hypothesis."""
 
 
 EFFORTS = {"quick": Effort(8, 2, 2), "full": Effort(14, 4, 3)}
