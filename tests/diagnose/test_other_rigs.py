@@ -62,13 +62,13 @@ def test_a_clean_rig_is_not_accused(shape, seed):
 
 
 def test_late_command_and_late_encoder_are_the_same_on_an_axis_with_an_encoder_alone():
-    """No other sensor tells on which side of the rig the delay is."""
+    """No other sensor tells on which side of the rig the delay is; a lag that short does nearly the same."""
     diagnosis = found("axis", 8003, ("input_delay", "amplifier")).diagnosis
-    delays = {("input_delay", "amplifier"), ("encoder_delay", "encoder")}
     first = diagnosis.causes[0]
-    assert diagnosis.verdict == "ambiguous" and (first.effect, first.at) in delays
-    assert {(rival.effect, rival.at) for rival in first.rivals} & delays
-    assert diagnosis.next_experiment is not None and diagnosis.next_experiment.test is None
+    said = {(first.effect, first.at), *((rival.effect, rival.at) for rival in first.rivals)}
+    assert diagnosis.verdict == "ambiguous" and len(diagnosis.causes) == 1
+    assert {("input_delay", "amplifier"), ("encoder_delay", "encoder")} <= said
+    assert all(rival.probability > 0.2 for rival in first.rivals[:1]) and diagnosis.next_experiment is not None
 
 
 def test_report_and_recording_of_a_rig_with_an_encoder_alone(tmp_path):

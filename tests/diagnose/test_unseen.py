@@ -28,7 +28,7 @@ def linear(size: int, temperature: float = 1.0, seed: int = 3):
     layout = SimpleNamespace(prior_precision=prior, prior_mean=np.zeros(size))
     found = Fit(layout, x, np.zeros(RUNS), np.zeros(RUNS), 0.0, np.array([[e @ e] for e in errors]), np.zeros(RUNS),
                 np.array([d.T @ d for d in designs]), np.array([d.T @ e for d, e in zip(designs, errors, strict=True)]),
-                [], [], [])
+                [], [], [], [])
     left = 0.0
     for r in range(RUNS):
         error = runs[r] - designs[r] @ solve([s for s in range(RUNS) if s != r])
