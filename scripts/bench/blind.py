@@ -1,7 +1,8 @@
 """The blind campaign: rigs of the independent generator, each with something hidden or nothing, diagnosed unseen.
 
     python scripts/bench/blind.py --out blind [--cases 520] [--first-seed 20000] [--effort full] [--workers 2]
-                                  [--only clear subtle clean pair outside] [--hidden dead_zone hardening_spring@clamp]
+                                  [--sum-up] [--only clear subtle clean pair outside]
+                                  [--hidden dead_zone hardening_spring@clamp]
 
 Case i has the seed first-seed + i and five to eight runs.  Clear and subtle single causes (every effect of the
 catalogue at each of its places, every constant of the rig), clean rigs, pairs of clear causes and rigs with something
@@ -240,6 +241,7 @@ def main() -> int:
     parser.add_argument("--effort", choices=["quick", "full"], default="full")
     parser.add_argument("--only", nargs="+", choices=list(MIX), default=list(MIX), help="only these classes")
     parser.add_argument("--hidden", nargs="+", default=[], metavar="EFFECT[@AT]", help="only these single causes")
+    parser.add_argument("--sum-up", action="store_true", help="do nothing, sum up what is there")
     options = parser.parse_args()
     places = {title((e, at or "")): (e, at) for band in BANDS for e, at in causes(band)[0]}
     names = [n for text in options.hidden for n in places if text in (n, n.partition("@")[0])]
@@ -261,11 +263,14 @@ def main() -> int:
         line = f"{task.label}: {found}" if isinstance(found, str) else table([found]).splitlines()[1]
         print(f"{done:4d}/{len(tasks)} {line}", file=sys.stderr, flush=True)
 
+    results = None
     try:
-        results = run_campaign(tasks, judge, options.out, workers=options.workers, code=code_hash(), told=told,
-                               begun=begun)
+        if not options.sum_up:
+            results = run_campaign(tasks, judge, options.out, workers=options.workers, code=code_hash(), told=told,
+                                   begun=begun)
     except KeyboardInterrupt:
         print("interrupted: the table is of what is there; the same command goes on", file=sys.stderr, flush=True)
+    if results is None:
         results = so_far(tasks, options.out, code=code_hash())
     print(report(results, options.out, {key: str(value) if isinstance(value, Path) else value
                                         for key, value in vars(options).items()}))
