@@ -78,3 +78,11 @@ def test_every_file_that_is_not_python_travels_with_the_package():
         made = {".py", ".pyc", ".nbi", ".nbc"}
         there = {path for path in folder.rglob("*") if path.is_file() and path.suffix not in made}
         assert there - packed == set(), package
+
+
+def test_a_first_simulation_does_not_wait_for_what_it_does_not_use():
+    """scipy.signal and control take longer to import than the rest of a first simulation."""
+    code = ("import sys, station.rig, station.model.simulate, station.runs.run; "
+            "print([name for name in ('scipy.signal', 'control', 'plotly', 'rerun') if name in sys.modules])")
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from scipy.signal import max_len_seq
 
 from station.errors import UsageError
 
@@ -116,6 +115,8 @@ def prbs(rate: float, amplitude: float = 50.0, hold: float = 0.02, bits: int = 9
     if not 2 <= bits <= 20:
         raise UsageError(f"test.bits: 2 to 20 are wanted, not {bits:g}")
     reference, time = _time(rest, duration, rate)
+    from scipy.signal import max_len_seq  # half of what a first simulation may take to import
+
     levels = amplitude * (2.0 * max_len_seq(int(bits))[0].astype(float) - 1.0)
     each = max(_row(hold, rate), 1)
     reference[_row(rest, rate):] = levels[np.arange(len(time)) // each % len(levels)]
