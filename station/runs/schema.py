@@ -50,7 +50,7 @@ def _schema(full_name: str, fields: Sequence[tuple[str, int, int]]) -> bytes:
                                               syntax="proto3")
     message = file.message_type.add(name=name)
     for field, number, kind in fields:
-        message.field.add(name=field, number=number, type=kind,
+        message.field.add(name=field, json_name=field, number=number, type=kind,  # columns x and x_ are two
                           label=descriptor_pb2.FieldDescriptorProto.LABEL_OPTIONAL)
     return descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString()
 

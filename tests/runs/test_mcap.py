@@ -300,3 +300,10 @@ def test_rerun_reads_the_recording(tmp_path):
     for column in run.columns():
         assert column == "t" or f"/{column}@Scalars:scalars" in recording
     rerun(tmp_path, "rrd", "verify", str(tmp_path / "b.rrd"))
+
+
+def test_columns_whose_names_differ_by_an_underscore_alone_are_two_columns():
+    """Proto3 gives both the same name in JSON unless told otherwise, and then refuses the message."""
+    message = message_class(SAMPLE, sample_schema(["t", "x", "x_"]))
+    again = message.FromString(message(x=1.0, x_=2.0).SerializeToString())
+    assert (again.x, again.x_) == (1.0, 2.0)
