@@ -27,6 +27,8 @@ PLACE_STEP = 0.02
 """Finite-difference step of the motor's place in a gap (artanh of its share)."""
 OFFSET_STEP = 0.1
 """Finite-difference step of the accelerometer's offset, counts."""
+NUISANCES = (0.35, 0.5)
+"""Prior sigmas of a run's starting angle and accelerometer offset, counts."""
 POOR = 0.5
 """Share of the predicted gain below which derivatives are computed afresh."""
 DAMPING, LEAST_DAMPING = 1.0, 0.01
@@ -34,7 +36,8 @@ DAMPING, LEAST_DAMPING = 1.0, 0.01
 FAR_OFF = 1e-3
 """The same before, in units of the information itself (Marquardt 1963)."""
 REACHED = 1.5
-"""Variance of what is left, over the noise's, below which a quick fit ends where its derivatives lead no further."""
+"""Variance of what is left, over the noise's, below which a quick fit ends where its derivatives lead no further, and a
+rig without causes is fitted to the end."""
 CORRECTIONS, STIFF = 3, 100.0
 """Steps back to a valley's floor, and the information (1/prior sigma^2) below which they leave a direction alone."""
 FAR = 100.0
@@ -104,7 +107,8 @@ class Fit:
 
 def nuisance_priors(problem: Problem) -> np.ndarray:
     """Prior precisions of a run's starting angle (rad) and accelerometer offset (counts)."""
-    return np.array([(0.35 * problem.rig.angle_per_count) ** -2, 0.5**-2])[: problem.channels]
+    angle, offset = NUISANCES
+    return np.array([(angle * problem.rig.angle_per_count) ** -2, offset**-2])[: problem.channels]
 
 
 def eliminate(problem: Problem, fit_start: np.ndarray, fit_offset: np.ndarray, residuals: list[np.ndarray],
@@ -267,13 +271,12 @@ class _Descent:
 def fit(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray | None = None,
         offset: np.ndarray | None = None, *, iterations: int = 25, tolerance: float = 0.1,
         weights: np.ndarray | None = None, jacobian: list[np.ndarray] | None = None, parallel: bool = True,
-        exact_end: bool = True, poor: float = POOR) -> Fit:
+        exact_end: bool = True) -> Fit:
     """Minimise chi^2 plus priors from ``x``; ``tolerance`` is the fall of the objective that ends it.
 
     ``weights`` (runs) of 0 leave a run out of the fit; its nuisances follow all the same.  ``jacobian`` (per run
     (p + nuisances, channels n)) starts the quick way; ``exact_end`` computes the derivatives afresh before it ends, as
     often as that helps (without it once, and only while much is left).
-    A step that gains less than the share ``poor`` of what was predicted asks for fresh derivatives (infinite: always).
     ``parallel`` spreads the work over the problem's threads; not from one of them.
     """
     descent = _Descent(problem, layout, np.ones(len(problem.runs)) if weights is None else weights, parallel)
@@ -305,7 +308,7 @@ def fit(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray | Non
             _broyden(jac, here, found, layout.size, descent.nuisance_prior)
             here = found
             normal, gradient, back = descent.eliminated(here, jac)
-        if gain >= tolerance and (ratio > poor or not exact_end):
+        if gain >= tolerance and (ratio > POOR or not exact_end):
             continue
         if (gain < tolerance and drift < SETTLED and along_axes) or (not exact_end and along_axes):
             break

@@ -27,8 +27,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from station.diagnose.candidates import candidates
-from station.diagnose.estimate import Fit
-from station.diagnose.noise import ACCEL_DEFAULT, QUANTISATION, rounding_shares
+from station.diagnose.estimate import NUISANCES, Fit
+from station.diagnose.noise import ACCEL_DEFAULT, QUANTISATION, correlation_time, rounding_shares
 from station.diagnose.posterior import Odds
 from station.diagnose.problem import ELEMENTS, LONGEST, LONGEST_GAP, TRUNCATION
 from station.diagnose.result import NextExperiment, Prediction, Verdict
@@ -61,8 +61,6 @@ STEP = 0.5
 """Longest step along one, prior sigmas or logarithm."""
 TRAVEL = 0.5
 """Of a turn: as far as a test may move the arm."""
-NUISANCES = (0.35, 0.5)
-"""Prior sigmas of a run's starting angle and accelerometer offset, counts."""
 SLACK = 0.1
 """Share of the best worth that a shorter or gentler test may lack."""
 AGAIN = 0.5
@@ -178,7 +176,7 @@ class Planner:
                         for flag in ("inside", False)]
                 jitter.append(both[0] - both[1])
             scatter = jitter[0] - jitter[1]
-            variance = variance + 0.5 * np.array([np.mean(row**2) * _lasting(row) for row in scatter])
+            variance = variance + 0.5 * np.array([np.mean(row**2) * correlation_time(row) for row in scatter])
         return np.sqrt(share / variance[:, None])
 
     def behaves(self, trial: Trial, forecast: Forecast, turns: float = TRAVEL) -> bool:
@@ -233,18 +231,6 @@ class Planner:
     def worth(self, trial: Trial, value: float) -> float:
         """Less where it was run already."""
         return AGAIN * value if trial.repeats(self.runs) else value
-
-
-def _lasting(values: np.ndarray, longest: int = 50) -> float:
-    """Integrated autocorrelation time, samples, at least 1, up to where the correlation first vanishes."""
-    centred = values - values.mean()
-    power = float(centred @ centred)
-    if power <= 0.0:
-        return 1.0
-    lags = range(1, min(longest, len(values) - 1))
-    rho = np.array([float(centred[lag:] @ centred[:-lag]) / power for lag in lags])
-    gone = np.flatnonzero(rho <= 0.0)
-    return 1.0 + 2.0 * float(np.sum(rho[: gone[0] if gone.size else None]))
 
 
 def absorbed(change: np.ndarray, spread: np.ndarray) -> np.ndarray:

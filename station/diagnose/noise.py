@@ -63,3 +63,18 @@ def noise_sigmas(runs: list[Run]) -> tuple[float, float, int]:
         accel = ACCEL_DEFAULT**2 + QUANTISATION
     rows = max(freedom["accel"] or freedom["encoder"], 1)
     return float(np.sqrt(max(encoder - QUANTISATION, 0.0))), float(np.sqrt(max(accel - QUANTISATION, 0.0))), rows
+
+
+def correlation_time(values: np.ndarray, longest: int = 50) -> float:
+    """Integrated autocorrelation time, samples, at least 1."""
+    centred = values - values.mean()
+    power = float(centred @ centred)
+    if power <= 0.0:
+        return 1.0
+    total = 1.0
+    for lag in range(1, min(longest, len(values) - 1)):
+        rho = float(centred[lag:] @ centred[:-lag]) / power
+        if rho <= 0.0:
+            break
+        total += 2.0 * rho
+    return total

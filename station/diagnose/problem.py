@@ -14,12 +14,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from station.diagnose.noise import QUANTISATION, noise_sigmas, rest_rows, rounding_shares
+from station.diagnose.noise import QUANTISATION, correlation_time, noise_sigmas, rest_rows, rounding_shares
 from station.model.effects import Effect, ParameterInfo, Stage
 from station.model.simulate import Model, Simulation, build, simulate_model
 from station.rig import Rig
@@ -100,7 +100,6 @@ class Layout:
     gap_places: int
     prior_mean: np.ndarray
     prior_precision: np.ndarray
-    classes: list[type[Effect]] = field(default_factory=list)
 
     @property
     def size(self) -> int:
@@ -159,8 +158,6 @@ class Problem:
         is added to every simulation, and the scatter about it, which is added to the noise (times how long it lasts).
         Rigs driven by the logged command know of no such thing: the chatter is in the log.
         """
-        if self.by_command:
-            return
         model = self.model(layout, x)
         rng = np.random.default_rng(1)
 
@@ -179,15 +176,9 @@ class Problem:
             for c in range(self.channels):
                 scatter = differences[:, c] - self.chatter[r][c]
                 power = float(np.mean(scatter**2)) * REALISATIONS / (REALISATIONS - 1)
-                lasting = float(np.mean([_correlation_time(row) for row in scatter]))
+                lasting = float(np.mean([correlation_time(row) for row in scatter]))
                 fed_back = power * lasting
                 self.scale[r][c] = np.sqrt(self.share[r][c] / (self.sigma[c] ** 2 + fed_back) / self.temper[r, c])
-
-    def close_loops(self) -> None:
-        """From now on simulate closed loops from their reference instead of from the logged command."""
-        self.by_command = False
-        self.temper[:] = 1.0
-        self.scale = [np.sqrt(share) / self.sigma[: self.channels, None] for share in self.share]
 
     def weigh(self, residuals: list[np.ndarray]) -> None:
         """Weigh runs and channels alike where a model misses something.
@@ -256,7 +247,7 @@ class Problem:
         mean += [0.0] * (zeros + gap_places)
         precision += [0.25] * zeros + [1.0] * gap_places
         return Layout(hypothesis, self.paths, root, coordinates, zeros, gap_places, np.array(mean),
-                      np.array(precision), [cls for cls, _ in hypothesis.effects])
+                      np.array(precision))
 
     def rig_of(self, layout: Layout, x: np.ndarray) -> Rig:
         """The rig that a parameter vector describes."""
@@ -340,21 +331,6 @@ def clock_evidence(runs: Sequence[Run]) -> tuple[float, float] | None:
     if not slopes:
         return None
     return float(np.average(slopes, weights=weights)), float(np.sum(weights)) ** -0.5
-
-
-def _correlation_time(values: np.ndarray, longest: int = 50) -> float:
-    """Integrated autocorrelation time, samples, at least 1."""
-    centred = values - values.mean()
-    power = float(centred @ centred)
-    if power <= 0.0:
-        return 1.0
-    total = 1.0
-    for lag in range(1, min(longest, len(values) - 1)):
-        rho = float(centred[lag:] @ centred[:-lag]) / power
-        if rho <= 0.0:
-            break
-        total += 2.0 * rho
-    return total
 
 
 def _coordinate(effect: int, name: str, info: ParameterInfo, value: float, usual: list[float]) -> Coordinate:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from station.diagnose.candidates import Candidate, candidates
-from station.diagnose.estimate import Fit, eliminate, fit, nuisance_priors
+from station.diagnose.estimate import REACHED, Fit, eliminate, fit, nuisance_priors
 from station.diagnose.problem import FINE, MISFIT, QUICK, Hypothesis, Layout, Problem
 from station.model.effects import Stage
 
@@ -35,8 +35,6 @@ PROMISED = 3
 """Starts that screening promised most of, which are fitted further wherever their quick fit ended."""
 HALFWAY = 3.0
 """Fall of a fit's objective per step at which the promising are compared once more."""
-REACHED = 1.5
-"""Variance of what a rig without causes leaves, over the noise's, below which it is fitted to the end."""
 
 
 @dataclass(frozen=True)
@@ -145,10 +143,8 @@ def child_layout(problem: Problem, parent: Fit, candidate: Candidate, guess: dic
     """Layout and start of a parent's hypothesis with one more cause."""
     base = parent.layout
     hypothesis = base.hypothesis + candidate.hypothesis
-    sizes = {k: {} for k in range(len(hypothesis.effects))}
+    sizes = _sizes(base, parent.x)
     n = len(base.paths)
-    for coordinate, value in zip(base.coordinates, parent.x[n:], strict=False):
-        sizes[coordinate.effect][coordinate.name] = coordinate.to_value(value)
     if candidate.effect is not None:
         sizes[len(hypothesis.effects) - 1] = guess
     layout = problem.layout(hypothesis, sizes)
@@ -451,7 +447,7 @@ def explore(problem: Problem, effort: Effort, progress: Callable[[str, float], N
     """
     search = _ladder(problem, effort, progress)
     if search.misfit and any(run.metadata.controller.get("kind") != "open" for run in problem.runs):
-        problem.close_loops()
+        problem.by_command = False
         search = _ladder(problem, Effort(EFFORTS["quick"].fits, EFFORTS["quick"].exact, effort.rungs), progress)
     return search
 
