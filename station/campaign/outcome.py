@@ -144,7 +144,7 @@ def diagnosed(task: Task, rig: Rig, runs: Sequence[Run], effort: str, *, hidden:
     from station.diagnose.diagnose import diagnose
 
     wall, cpu = time.perf_counter(), time.process_time()
-    result = diagnose(rig, runs, effort=effort)
+    result = diagnose(rig, runs, effort=effort, threads=1)  # a worker per core
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     said = result.diagnosis.model_dump(mode="json", by_alias=True)
     return Outcome(

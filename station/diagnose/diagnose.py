@@ -41,8 +41,8 @@ VISIBLE = 25.0
 
 
 def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
-             progress: Callable[[str, float], None] | None = None) -> DiagnosisResult:
-    """Diagnose a rig from its runs.
+             progress: Callable[[str, float], None] | None = None, threads: int = 2) -> DiagnosisResult:
+    """Diagnose a rig from its runs; more ``threads`` than two gain little.
 
     UsageError for an unknown effort; WorkError where the runs cannot be used (rate, no motion).
     """
@@ -52,7 +52,7 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     report = progress or (lambda text, share: None)
     given = len(runs)
     runs, windows = _usable(rig, runs)
-    problem = Problem(rig, runs, windows=windows)
+    problem = Problem(rig, runs, threads, windows)
     search = explore(problem, EFFORTS[effort], report)
     found_odds = odds(search)
     nothing = search.fits[frozenset()]

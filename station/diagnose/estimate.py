@@ -13,6 +13,7 @@ what the step did (Broyden 1965), and computed afresh only where that does not l
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -36,10 +37,10 @@ DAMPING, LEAST_DAMPING = 1.0, 0.01
 FAR_OFF = 1e-3
 """The same before, in units of the information itself (Marquardt 1963)."""
 REACHED = 1.5
-"""Variance of what is left, over the noise's, below which a quick fit ends where its derivatives lead no further, and a
-rig without causes is fitted to the end."""
-CORRECTIONS, STIFF = 3, 100.0
-"""Steps back to a valley's floor, and the information (1/prior sigma^2) below which they leave a direction alone."""
+"""Variance of what is left, over the noise's, below which a rig without causes is fitted to the end."""
+CORRECTIONS, CORRECTED, STIFF = 3, 2, 100.0
+"""Steps back to a valley's floor, the first steps that are corrected so (shorter ones stay on the floor by themselves),
+and the information (1/prior sigma^2) below which a correction leaves a direction alone."""
 FAR = 100.0
 """A step that multiplies chi^2 by more is not worth correcting."""
 SETTLED = 0.3
@@ -72,6 +73,10 @@ class Fit:
     """Per run (p + nuisances, channels n)."""
     scale: list[np.ndarray]
     """Per run (channels, n), what residuals, outputs and derivatives are scaled with."""
+    stuck: bool
+    """Whether ``jacobian`` leads no further."""
+    ended: bool
+    """Whether that holds of derivatives computed at this very place, over the widths that the data leave open."""
 
     @property
     def chi2(self) -> float:
@@ -253,10 +258,9 @@ class _Descent:
         across the valley alone (STIFF holds what the data hardly see), bring it back to the floor before it is judged.
         """
         stiff = matrix + STIFF * np.eye(self.count)
-        for _ in range(tries):
-            damped = matrix + damping * metric
-            trial = self.step(here, damped, force, back)
-            for _ in range(CORRECTIONS):
+        for attempt in range(tries):
+            trial = self.step(here, matrix + damping * metric, force, back)
+            for _ in range(CORRECTIONS if attempt < CORRECTED else 0):
                 if trial is None or trial.objective < here.objective or trial.data > FAR * here.data:
                     break
                 _, gradient, ahead = self.eliminated(trial, jac)
@@ -271,12 +275,12 @@ class _Descent:
 def fit(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray | None = None,
         offset: np.ndarray | None = None, *, iterations: int = 25, tolerance: float = 0.1,
         weights: np.ndarray | None = None, jacobian: list[np.ndarray] | None = None, parallel: bool = True,
-        exact_end: bool = True) -> Fit:
+        renewals: int = 100, renew: bool = False) -> Fit:
     """Minimise chi^2 plus priors from ``x``; ``tolerance`` is the fall of the objective that ends it.
 
     ``weights`` (runs) of 0 leave a run out of the fit; its nuisances follow all the same.  ``jacobian`` (per run
-    (p + nuisances, channels n)) starts the quick way; ``exact_end`` computes the derivatives afresh before it ends, as
-    often as that helps (without it once, and only while much is left).
+    (p + nuisances, channels n)) starts the quick way; where it leads no further the derivatives are computed afresh, at
+    most ``renewals`` times, and at once where ``renew`` says that it leads nowhere.
     ``parallel`` spreads the work over the problem's threads; not from one of them.
     """
     descent = _Descent(problem, layout, np.ones(len(problem.runs)) if weights is None else weights, parallel)
@@ -286,10 +290,15 @@ def fit(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray | Non
         raise ArithmeticError("the fit's start does not simulate")
     jac = descent.afresh(here, STEP * np.eye(layout.size)) if jacobian is None else [j.copy() for j in jacobian]
     drift = 0.0 if jacobian is None else np.inf
-    along_axes, damping = False, DAMPING
+    along_axes, stuck, damping = False, False, DAMPING
     normal, gradient, back = descent.eliminated(here, jac)
     for _ in range(iterations):
-        if drift > 0.0 and descent.effects:
+        if renew:
+            jac = descent.afresh(here, descent.axes(normal, max(here.data / descent.samples, 1.0)))
+            along_axes, drift, damping, renew = True, 0.0, min(damping, DAMPING), False
+            renewals -= 1
+            normal, gradient, back = descent.eliminated(here, jac)
+        elif drift > 0.0 and descent.effects:
             descent.renew_effects(here, jac)
             normal, gradient, back = descent.eliminated(here, jac)
         scale = max(here.data / descent.samples, 1.0)
@@ -298,7 +307,7 @@ def fit(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray | Non
         metric = np.eye(layout.size) if along_axes else FAR_OFF * np.diag(np.diag(matrix))
         found, damping = descent.lower(here, jac, matrix, force, back, scale, damping, metric,
                                        5 if drift == 0.0 else 3)
-        gain = ratio = 0.0
+        stuck, gain, ratio = found is None, 0.0, 0.0
         if found is not None:
             step = found.x - here.x
             gain = here.objective - found.objective
@@ -308,17 +317,22 @@ def fit(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndarray | Non
             _broyden(jac, here, found, layout.size, descent.nuisance_prior)
             here = found
             normal, gradient, back = descent.eliminated(here, jac)
-        if gain >= tolerance and (ratio > POOR or not exact_end):
+        if gain >= tolerance and (ratio > POOR or not renewals):
             continue
-        if (gain < tolerance and drift < SETTLED and along_axes) or (not exact_end and along_axes):
+        if not renewals or (gain < tolerance and drift < SETTLED and along_axes):
             break
-        if not exact_end and here.data < REACHED * descent.samples:
-            break
-        jac = descent.afresh(here, descent.axes(normal, max(here.data / descent.samples, 1.0)))
-        along_axes, drift, damping = True, 0.0, min(damping, DAMPING)
-        normal, gradient, back = descent.eliminated(here, jac)
+        renew = True
     return Fit(layout, here.x, here.start, here.offset, here.objective, here.costs, here.penalty, normal, gradient,
-               here.residuals, here.outputs, jac, [s.copy() for s in problem.scale])
+               here.residuals, here.outputs, jac, [s.copy() for s in problem.scale], stuck,
+               stuck and along_axes and drift == 0.0)
+
+
+def go_on(problem: Problem, found: Fit, **how: Any) -> Fit:
+    """Take a fit further, ``how`` as in ``fit``, from what its derivatives are known to be worth; not over threads."""
+    if found.ended:
+        return found
+    return fit(problem, found.layout, found.x, found.start, found.offset, jacobian=found.jacobian,
+               renew=found.stuck, parallel=False, **how)
 
 
 def _broyden(jac: list[np.ndarray], old: _Point, new: _Point, count: int, nuisance_prior: np.ndarray) -> None:

@@ -46,7 +46,7 @@ def leave_each_out(problem: Problem, found: Fit) -> list[Simulation]:
         weights = np.ones(len(problem.runs))
         weights[r] = 0.0
         left = fit(problem, found.layout, found.x, found.start, found.offset, weights=weights, iterations=4,
-                   jacobian=found.jacobian, parallel=False, exact_end=False)
+                   jacobian=found.jacobian, parallel=False, renewals=0)
         start, offset = settle(problem, left.layout, left.x, left.start, left.offset)
         model = build(problem.rig_of(left.layout, left.x))
         return problem.simulate_run(model, left.layout, left.x, r, start[r], offset[r], True)

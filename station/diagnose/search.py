@@ -12,11 +12,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from station.diagnose.candidates import Candidate, candidates
-from station.diagnose.estimate import REACHED, Fit, eliminate, fit, nuisance_priors
+from station.diagnose.estimate import REACHED, Fit, eliminate, fit, go_on, nuisance_priors
 from station.diagnose.problem import FINE, MISFIT, QUICK, Hypothesis, Layout, Problem
 from station.model.effects import Stage
 
@@ -30,11 +31,16 @@ earn its parameters."""
 CLOSE = 150.0
 """Twice a log posterior within which two hypotheses are close rivals."""
 HOPELESS = 10.0
-"""Variance of what two causes leave, over the noise's, from which on driving by command is given up."""
+"""Variance of what is left, over the noise's, from which on driving by command is given up: after two causes, or after
+one that takes off less than LITTLE of it."""
+LITTLE = 0.1
 PROMISED = 3
 """Starts that screening promised most of, which are fitted further wherever their quick fit ended."""
 HALFWAY = 3.0
 """Fall of a fit's objective per step at which the promising are compared once more."""
+CARE: dict[str, Any] = {"tolerance": 0.1}
+MISFIT_CARE: dict[str, Any] = {"tolerance": 1.0, "renewals": 2}
+"""How far fits go, and where no set reaches the noise: there errors on unseen runs decide, not parts of chi^2."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +82,11 @@ class Search:
     fits: dict[frozenset[tuple[str, str]], Fit] = field(default_factory=dict)
     promises: list[Promise] = field(default_factory=list)
     """Of the first rung."""
+
+    @property
+    def care(self) -> dict[str, Any]:
+        """How far fits go."""
+        return CARE if self.problem.by_command or not self.misfit else MISFIT_CARE
 
     @property
     def misfit(self) -> bool:
@@ -290,7 +301,7 @@ def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float
         layout, x = child_layout(problem, parent, promise.candidate, _started(promise))
         try:
             return fit(problem, layout, x, parent.start, parent.offset, jacobian=child_jacobian(parent, layout),
-                       parallel=False, exact_end=False, iterations=10, tolerance=0.5)
+                       parallel=False, renewals=0, iterations=10, tolerance=0.5)
         except (np.linalg.LinAlgError, ArithmeticError):
             return None
 
@@ -306,9 +317,8 @@ def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float
         search.keep(found)
     best = parent
 
-    def further(found: Fit, tolerance: float = HALFWAY) -> Fit:
-        return fit(problem, found.layout, found.x, found.start, found.offset, jacobian=found.jacobian,
-                   iterations=15 if tolerance == HALFWAY else 40, tolerance=tolerance, parallel=False)
+    def further(found: Fit) -> Fit:
+        return go_on(problem, found, **search.care | {"tolerance": HALFWAY}, iterations=15)
 
     nearest = _nearest(fitted, parent, 0.8, effort.exact + 2)
     sets = {frozenset(f.layout.hypothesis.causes()) for f in nearest}
@@ -323,7 +333,7 @@ def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float
     exact = _nearest(sorted(halfway, key=lambda f: f.objective), parent, 0.2, effort.exact)
 
     def to_the_end(found: Fit) -> Fit:
-        return further(found, 0.1)
+        return go_on(problem, found, **search.care, iterations=40)
 
     for index, found in enumerate(problem.pool.map(to_the_end, exact)):
         search.keep(found)
@@ -360,7 +370,7 @@ def _borrow(search: Search, keys: list[frozenset[tuple[str, str]]]) -> None:
         x[:n] = np.linalg.solve(rival.layout.root, first.logs)
         try:
             return fit(problem, rival.layout, x, first.start, first.offset, jacobian=rival.jacobian, iterations=10,
-                       parallel=False)
+                       **search.care, parallel=False)
         except ArithmeticError:
             return None  # does not simulate from there; the fit that there is stands
 
@@ -394,7 +404,8 @@ def look_back(search: Search, found: Fit) -> None:
         if smaller.gap_places:
             x[-smaller.gap_places:] = found.x[-layout.gap_places:]
         try:
-            return fit(problem, smaller, x, found.start, found.offset, iterations=15, parallel=False)
+            return fit(problem, smaller, x, found.start, found.offset, iterations=15, **search.care,
+                       parallel=False)
         except ArithmeticError:
             return None  # does not simulate from there; what there is of that set stands
 
@@ -427,11 +438,12 @@ def recalibrate(search: Search, best: Fit) -> Fit:
     parts = set(best.layout.hypothesis.causes())
     again = [f for f in leading if set(f.layout.hypothesis.causes()) <= parts]
     again += [f for f in leading if f not in again][: search.effort.exact - 1]
+    care = search.care
     search.fits = {}
 
     def under_new_scale(found: Fit) -> Fit:
-        return fit(problem, found.layout, found.x, found.start, found.offset, iterations=10, parallel=False,
-                   jacobian=found.jacobian_at(problem.scale))
+        return fit(problem, found.layout, found.x, found.start, found.offset, iterations=10, **care,
+                   jacobian=found.jacobian_at(problem.scale), parallel=False)
 
     for found in problem.pool.map(under_new_scale, again):
         search.keep(found)
@@ -458,6 +470,7 @@ def _ladder(problem: Problem, effort: Effort, progress: Callable[[str, float], N
     progress("fitting the nominal rig's constants", 0.05)
     parent = base_fit(problem)
     search.keep(parent)
+    before = search.temperature()
     pool = candidates(problem.rig)
     if not problem.by_command and search.misfit and max(problem.zero_group) > 0:
         # With an unknown zero per run these laws have a free angle per run, fit anything and predict nothing.
@@ -478,6 +491,7 @@ def _ladder(problem: Problem, effort: Effort, progress: Callable[[str, float], N
             parent = recalibrate(search, parent)
         if len(parent.layout.hypothesis.causes()) <= rung:
             break
-        if rung > 0 and problem.by_command and search.temperature() > HOPELESS:
+        least = search.temperature()
+        if problem.by_command and least > HOPELESS and (rung > 0 or least > (1.0 - LITTLE) * before):
             break
     return search

@@ -102,31 +102,27 @@ def _decouple(a: np.ndarray, assembly: Assembly) -> ModalForm | None:
     if free:
         kinds.append(JORDAN)
         eigenvalues.append((0.0, 0.0))
-        firsts.append(rigid)
-        seconds.append(np.concatenate([np.zeros(n), assembly.rigid]))
+        firsts.append(rigid[:, None])
+        seconds.append(np.concatenate([np.zeros(n), assembly.rigid])[:, None])
         values, vectors = values[2:], vectors[:, 2:]
     else:
         values[0], vectors[:, 0] = 0.0, rigid
     real = np.abs(values.imag) <= 1e-12 * np.maximum(np.abs(values), 1e-12 * scale)
-    for i in np.flatnonzero(~real & (values.imag > 0.0)):
-        kinds.append(PAIR)
-        eigenvalues.append((values[i], values[i].conjugate()))
-        firsts.append(vectors[:, i].real)
-        seconds.append(vectors[:, i].imag)
-    reals = np.flatnonzero(real)
-    if reals.size % 2 or 2 * len(kinds) + reals.size != 2 * n:
+    pairs, reals = np.flatnonzero(~real & (values.imag > 0.0)), np.flatnonzero(real)
+    if reals.size % 2 or 2 * (len(kinds) + pairs.size) + reals.size != 2 * n:
         return None
-    for one, other in reals.reshape(-1, 2):
-        kinds.append(REAL)
-        eigenvalues.append((values[one].real, values[other].real))
-        firsts.append(vectors[:, one].real)
-        seconds.append(vectors[:, other].real)
-    basis = np.stack(firsts + seconds, axis=1)
+    one, other = reals.reshape(-1, 2).T
+    kind = np.array(kinds + [PAIR] * pairs.size + [REAL] * one.size)
+    eigenvalues = np.concatenate([
+        np.array(eigenvalues, dtype=complex).reshape(-1, 2), np.stack([values[pairs], values[pairs].conj()], axis=1),
+        np.stack([values[one].real, values[other].real], axis=1)])
+    basis = np.concatenate([*firsts, vectors[:, pairs].real, vectors[:, one].real,
+                            *seconds, vectors[:, pairs].imag, vectors[:, other].real], axis=1)
     try:
         inverse = np.linalg.inv(basis)
     except np.linalg.LinAlgError:
         return None
-    form = ModalForm(np.array(kinds), np.array(eigenvalues, dtype=complex), basis, inverse)
+    form = ModalForm(kind, eigenvalues, basis, inverse)
     blocks = form.function(lambda z: z, 1.0)
     error = np.linalg.norm(basis @ apply(blocks, inverse) - a) / np.linalg.norm(a)
     return form if error < 1e-7 else None

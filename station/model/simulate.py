@@ -64,31 +64,40 @@ class Model:
     """Bound of what the modes left out could add to an output, counts."""
 
 
-def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP) -> Model:
-    """Assemble, decouple, truncate and sample a rig and lay out its effects.
+class _Tables:
+    """A rig as its linear part sees it: equal where the tables are, whatever effects it has."""
 
-    ``truncation`` (counts) and ``longest`` (step, s) buy speed for accuracy.
-    """
-    parts = assemble(rig)
-    whole = modal_form(parts)
-    period, delay, late = rig.period, 0.0, {Stage.ENCODER_DELAY: 0.0, Stage.ACCEL_DELAY: 0.0}
-    for effect in rig.effects:
-        if effect.stage is Stage.CLOCK:
-            period *= next(iter(effect.values().values()))
-        elif effect.stage is Stage.INPUT_DELAY:
-            delay += next(iter(effect.values().values()))
-        elif effect.stage in late:
-            late[effect.stage] += next(iter(effect.values().values()))
-    laws = sorted((e for e in rig.effects if e.stage in _STAGE), key=lambda e: (_STAGE[e.stage], e.order))
-    within = bool(laws) or any(late.values())
-    substeps = math.ceil(period / longest - 1e-9) if within else 1
-    h = period / substeps
-    ports = _ports(rig, laws)
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self._key = (rig.motor, rig.drive, rig.base, rig.clamp, rig.beam, rig.tip, rig.accelerometer, rig.amplifier,
+                     rig.encoder)
+        self._hash = hash(self._key)
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Tables) and self._key == other._key
+
+
+@functools.lru_cache(maxsize=32)
+def _decoupled(tables: _Tables) -> tuple[Assembly, ModalForm]:
+    """Kept, since a fit moves effects on the same linear part again and again."""
+    parts = assemble(tables.rig)
+    return parts, modal_form(parts)
+
+
+@functools.lru_cache(maxsize=32)
+def _sampled(tables: _Tables, ports: tuple[str, ...], period: float, substeps: int, delay: float, truncation: float,
+             ) -> tuple[ModalForm, stepper.Plan, float]:
+    """The linear part with its ports, truncated and sampled; a plan without effects, and the bound of what is left
+    out."""
+    rig, h = tables.rig, period / substeps
+    parts, whole = _decoupled(tables)
     inputs, rotations = _port_vectors(parts, ports)
     fed_back = [vector for port, vector in zip(ports, rotations, strict=True) if port == "clamp"]
     form, dropped = _truncate(rig, parts, whole, inputs, fed_back, period, truncation)
     n = parts.size
-    row = {"angle": form.basis[parts.base], "speed": form.basis[n + parts.base]}
     held, exponential = form.integral(h), form.exponential(h)
     command = form.inverse @ (rig.motor.gain * torque_input(parts, parts.unit(parts.motor)))
     torques = [form.inverse @ torque_input(parts, vector) for vector in inputs]
@@ -105,22 +114,50 @@ def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP) ->
     port_speed = np.array([rotation @ form.basis[n:] for rotation in rotations]).reshape(-1, 2 * form.blocks)
     port_held = np.array([apply(held, torque) for torque in torques]).reshape(-1, 2 * form.blocks)
     joints = [getattr(rig, port) if port in ("drive", "clamp") else None for port in ports]
-    slots, first, arguments, states = _slots(rig, laws, ports)
-    switched = apply(form.exponential(h - switch_time), apply(form.integral(switch_time), command))
+    slots, first, arguments, _ = _slots(rig, [], ports)
+    switched = np.zeros_like(command)
+    if switch >= 0:
+        switched = apply(form.exponential(h - switch_time), apply(form.integral(switch_time), command))
     plan = stepper.Plan(
         substeps, h, exponential, apply(held, command), switched, switch, switch_time, whole_delay,
-        np.ascontiguousarray(row["angle"]), np.ascontiguousarray(row["speed"]), _row(tip_speed, rate),
+        np.ascontiguousarray(form.basis[parts.base]), np.ascontiguousarray(form.basis[n + parts.base]),
+        _row(tip_speed, rate),
         float(tip_speed @ command), np.array([int(j is not None) for j in joints], dtype=np.int64),
         port_angle, port_speed, port_held, np.array([float(tip_speed @ torque) for torque in torques]),
         port_angle @ port_held.T, port_speed @ port_held.T,
         np.array([0.0 if j is None else j.stiffness for j in joints]),
         np.array([0.0 if j is None else j.damping for j in joints]),
-        ports.index("drive") if any(e.stage is Stage.FRICTION and e.at == "drive" for e in laws) else -1,
-        slots, first, arguments, rig.amplifier.limit, rig.beam.length if rig.beam else 0.0,
-        1.0 / rig.angle_per_count, gain, late[Stage.ENCODER_DELAY] / h, late[Stage.ACCEL_DELAY] / h)
+        -1, slots, first, arguments, rig.amplifier.limit, rig.beam.length if rig.beam else 0.0,
+        1.0 / rig.angle_per_count, gain, 0.0, 0.0)
+    return form, plan, dropped
+
+
+def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP) -> Model:
+    """Assemble, decouple, truncate and sample a rig and lay out its effects.
+
+    ``truncation`` (counts) and ``longest`` (step, s) buy speed for accuracy.
+    """
+    period, delay, late = rig.period, 0.0, {Stage.ENCODER_DELAY: 0.0, Stage.ACCEL_DELAY: 0.0}
+    for effect in rig.effects:
+        if effect.stage is Stage.CLOCK:
+            period *= next(iter(effect.values().values()))
+        elif effect.stage is Stage.INPUT_DELAY:
+            delay += next(iter(effect.values().values()))
+        elif effect.stage in late:
+            late[effect.stage] += next(iter(effect.values().values()))
+    laws = sorted((e for e in rig.effects if e.stage in _STAGE), key=lambda e: (_STAGE[e.stage], e.order))
+    within = bool(laws) or any(late.values())
+    substeps = math.ceil(period / longest - 1e-9) if within else 1
+    tables, ports = _Tables(rig), _ports(rig, laws)
+    form, plan, dropped = _sampled(tables, ports, period, substeps, delay, truncation)
+    slots, first, arguments, states = _slots(rig, laws, ports)
+    loaded = any(e.stage is Stage.FRICTION and e.at == "drive" for e in laws)
+    plan = plan._replace(
+        load_port=ports.index("drive") if loaded else -1, slots=slots, first=first, arguments=arguments,
+        encoder_delay=late[Stage.ENCODER_DELAY] / plan.h, accel_delay=late[Stage.ACCEL_DELAY] / plan.h)
     filters = int(first[stepper.ACCEL_FILTER + 1] - first[stepper.ACCEL_FILTER])
     rings = int(max(plan.encoder_delay, plan.accel_delay)) + 3
-    return Model(rig, parts, form, plan, states, filters, rings, dropped)
+    return Model(rig, _decoupled(tables)[0], form, plan, states, filters, rings, dropped)
 
 
 def _row(output: np.ndarray, blocks: np.ndarray) -> np.ndarray:
@@ -134,7 +171,7 @@ def _norms(vector: np.ndarray) -> np.ndarray:
     return np.hypot(*vector.reshape(2, -1))
 
 
-def _ports(rig: Rig, laws: list[Effect]) -> list[str]:
+def _ports(rig: Rig, laws: list[Effect]) -> tuple[str, ...]:
     """Ports at which the rig's effects put torques, in fixed order."""
     wanted = set()
     for effect in laws:
@@ -144,10 +181,10 @@ def _ports(rig: Rig, laws: list[Effect]) -> list[str]:
             wanted.add(effect.at)
     if rig.drive is None and "base" in wanted:
         wanted = (wanted - {"base"}) | {"motor"}
-    return [port for port in _PORTS if port in wanted]
+    return tuple(port for port in _PORTS if port in wanted)
 
 
-def _port_vectors(parts: Assembly, ports: list[str]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+def _port_vectors(parts: Assembly, ports: tuple[str, ...]) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Generalised torque of one N m and the rotation that it works on; the same vector, by virtual work."""
     vectors = {"motor": parts.unit(parts.motor), "base": parts.unit(parts.base),
                "drive": parts.unit(parts.motor) - parts.unit(parts.base)}
@@ -192,7 +229,7 @@ def _truncate(rig: Rig, parts: Assembly, form: ModalForm, inputs: list[np.ndarra
     return form.select(keep), float(total[count - 1]) if count else 0.0
 
 
-def _slots(rig: Rig, laws: list[Effect], ports: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+def _slots(rig: Rig, laws: list[Effect], ports: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     rows, arguments, states = [], [], 0
     counts = np.zeros(stepper.STAGES, dtype=np.int64)
     for effect in laws:
