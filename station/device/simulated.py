@@ -36,18 +36,22 @@ class Source(Protocol):
 class _Rig(Plant):
     """A plant that can be released again where it stands."""
 
-    def release(self) -> None:
+    def release(self, accel_noise: float) -> None:
         """At rest at the present angle, springs relaxed, lags and delays empty: as a run that is ``released``."""
         plan = self.model.plan
         self._state = initial_state(self.model, float(plan.base_angle @ self._state.z))
         stepper.begin(plan, self._state)
-        self._out[:] = stepper.sense(plan, self._state, self._offset, True)
+        self.stay(accel_noise)
+
+    def stay(self, accel_noise: float) -> None:
+        """Held still for one period."""
+        self._out[:] = stepper.sense(self.model.plan, self._state, self._offset + accel_noise, True)
 
 
 class PlantSource:
     """The plant model of a rig, held still between sessions and released at the begin of each.
 
-    ``noise`` is the accelerometer's standard deviation, counts.
+    ``noise`` is the accelerometer's standard deviation, counts; it joins a reading before that is clipped and rounded.
     """
 
     def __init__(self, rig: Rig, angle: float, accel_offset: float, noise: float, seed: int) -> None:
@@ -55,21 +59,24 @@ class PlantSource:
         self._noise = noise
         self._gauss = random.Random(seed).gauss
 
+    def _drawn(self) -> float:
+        return self._gauss(0.0, self._noise) if self._noise else 0.0
+
     def begin(self) -> None:
         """A session begins at the coming tick."""
-        self._plant.release()
+        self._plant.release(self._drawn())
 
     def sample(self) -> tuple[int, int]:
-        """Encoder and accelerometer at this tick, counts; noise before rounding, cut to 16 bits."""
+        """Encoder and accelerometer at this tick, counts, cut to 16 bits."""
         encoder, accel = self._plant.sample()
-        if self._noise:
-            accel = math.floor(accel + self._gauss(0.0, self._noise) + 0.5)
         return encoder, min(max(accel, -_INT16), _INT16)
 
     def advance(self, drive: int, enabled: bool) -> None:
         """Hold the drive to the next tick; where it is not enabled a brake holds the rig."""
         if enabled:
-            self._plant.advance(drive)
+            self._plant.advance(drive, self._drawn())
+        elif self._noise:
+            self._plant.stay(self._drawn())
 
 
 @dataclass(frozen=True)

@@ -369,6 +369,7 @@ class Plant:
         """Encoder and accelerometer at this tick, whole counts."""
         return int(self._out[0]), int(self._out[1])
 
-    def advance(self, command: float) -> None:
-        """Hold a command (counts) for one period."""
-        stepper.tick(self.model.plan, self._state, float(command), self._offset, True, self._work, self._out)
+    def advance(self, command: float, accel_noise: float = 0.0) -> None:
+        """Hold a command (counts) for one period; ``accel_noise`` (counts) joins the next reading before rounding."""
+        stepper.tick(self.model.plan, self._state, float(command), self._offset + accel_noise, True, self._work,
+                     self._out)

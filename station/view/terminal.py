@@ -42,8 +42,8 @@ def print_diagnosis(result: DiagnosisResult, console: Console, rig: str = "RIG")
     if result.comparisons:
         print_comparison(result.comparisons, console)
     if found.gain.explained_fraction is not None and found.causes:
-        console.print(f"{wording.explained(found.gain.explained_fraction)} of the error above the noise is gone on "
-                      "runs that no fit has seen.")
+        gone = f"{wording.explained(found)} of the error above the noise is gone on runs that no fit has seen"
+        console.print(wording.sentence(gone))
     if found.next_experiment is not None:
         for line in f"Next: {wording.next_test(found.next_experiment, rig=rig)}".splitlines():
             console.print(_plain(line), soft_wrap=True)

@@ -124,7 +124,7 @@ def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
     causes = diagnosis.causes
     if diagnosis.verdict in ("explained", "partly_explained") and causes:
         ends = {"explained": "only noise and the rig's stated uncertainty remain on unseen runs",
-                "partly_explained": "it comes closer, but more remains"}
+                "partly_explained": "it comes closer, but more than noise remains"}
         return f"The simulation {_accusation(causes, rig)}; with that put right, {ends[diagnosis.verdict]}."
     if diagnosis.verdict == "ambiguous" and causes:
         first = next((c for c in causes if c.rivals), causes[0])
@@ -215,9 +215,15 @@ def sentence(text: str) -> str:
     return f"{text[:1].upper()}{text[1:].rstrip('.')}."
 
 
-def explained(fraction: float) -> str:
-    """How much of the error above the noise is gone: ``93 %``, ``all`` (a fraction may exceed 1), ``none``."""
-    return "all" if fraction >= 0.995 else "none" if fraction <= 0.0 else percent(fraction)
+def explained(diagnosis: Diagnosis) -> str:
+    """How much of the error above the noise is gone: ``93 %``, ``all`` (a fraction may exceed 1), ``none``.
+
+    A remainder too small to change the error by a half percent may still stand out of the noise: ``nearly all``.
+    """
+    fraction = diagnosis.gain.explained_fraction or 0.0
+    if fraction >= 0.995:
+        return "nearly all" if diagnosis.verdict == "partly_explained" else "all"
+    return "none" if fraction <= 0.0 else percent(fraction)
 
 
 def gain_rows(diagnosis: Diagnosis) -> list[tuple[str, ChannelGain]]:

@@ -54,6 +54,17 @@ def test_the_sensors_read_what_the_plant_model_says():
             answer(client, i + 1, commands[i + 1])
 
 
+def test_noise_joins_a_reading_before_it_is_rounded():
+    device = SimulatedDevice.of_rig(RIG, Options(noise=0.6, accel_offset=0.4, seed=1))
+    client, read = started(device), []
+    for i in range(2000):
+        (sample,) = samples(client, device.read(SAMPLE.wire_size))
+        read.append(sample.accel)
+        answer(client, i + 1, 0)
+    assert abs(np.mean(read) - 0.4) < 5.0 * np.sqrt((0.6**2 + 1.0 / 12.0) / len(read))
+    assert np.var(read) == pytest.approx(0.6**2 + 1.0 / 12.0, rel=0.15)
+
+
 def test_in_lockstep_the_clock_counts_ticks_and_nothing_else():
     with open_port("sim://sflr") as port:
         client = started(port)

@@ -7,7 +7,7 @@ import io
 import pytest
 from rich.console import Console
 
-from station.diagnose.result import Estimate, RankedCause, Wrong
+from station.diagnose.result import Diagnosis, Estimate, Gain, RankedCause, Wrong
 from station.view import wording
 from station.view.terminal import print_diagnosis
 from tests.view import made
@@ -26,8 +26,12 @@ def test_an_interval_decides_how_many_digits_a_value_shows() -> None:
     assert wording.interval(Estimate(value=0.12345, low=0.05, high=0.5, unit="")) == "0.12 (0.050 to 0.50)"
 
 
-def test_a_fraction_beyond_one_is_all() -> None:
-    assert [wording.explained(f) for f in (1.02, 0.93, -0.1)] == ["all", "93 %", "none"]
+@pytest.mark.parametrize(("verdict", "fraction", "words"), [
+    ("explained", 1.02, "all"), ("partly_explained", 1.02, "nearly all"), ("explained", 0.93, "93 %"),
+    ("partly_explained", 0.93, "93 %"), ("explained", -0.1, "none")])
+def test_the_share_that_is_gone_and_the_verdict_say_the_same(verdict: str, fraction: float, words: str) -> None:
+    gain = Gain(held_out=["one"], explained_fraction=fraction)
+    assert wording.explained(Diagnosis(verdict=verdict, gain=gain)) == words
 
 
 def test_odds_never_claim_certainty() -> None:
