@@ -34,6 +34,8 @@ from station.runs.run import Run
 
 WORTH = 0.3
 """Prior odds of each further cause where held-out errors decide: it must take two percent off them."""
+LEADING = 6
+"""Sets of causes that are judged on runs left out where held-out errors decide."""
 FEW = 3
 """Runs below which even a settled verdict asks for another test."""
 VISIBLE = 25.0
@@ -100,7 +102,7 @@ def _odds_unseen(search: Search, found: Odds) -> Odds:
 
     Each set's weight is (its held-out error)^-FEATURES, as of FEATURES independent errors, times WORTH per cause.
     """
-    leading = [keys for keys, _ in found.sets[:8]]
+    leading = [keys for keys, _ in found.sets[:LEADING]]
     tried = [*leading, *([] if frozenset() in leading else [frozenset()])]
     scores = {}
     for keys in tried:

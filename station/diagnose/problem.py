@@ -28,8 +28,8 @@ from station.runs.run import Run
 TRUNCATION, LONGEST, LONGEST_GAP = 0.1, 1e-3, 5e-4
 """Accuracy of the simulations in a search: modes left out (counts), longest step (s), and that where a gap closes with
 a blow (s); below 0.1 count."""
-QUICK, FINE = (TRUNCATION, LONGEST, LONGEST_GAP), (0.01, 5e-4, 2e-4)
-"""The same, and that of the simulations from which values are stated."""
+QUICK, FINE, ROUGH = (TRUNCATION, LONGEST, LONGEST_GAP), (0.01, 5e-4, 2e-4), (1.0, 2e-3, 1e-3)
+"""The same, that of the simulations from which values are stated, and that where all models are far from the noise."""
 ELEMENTS = 8
 """Fewest beam elements of the fits: with fewer the mesh's own error would look like physics."""
 FARTHEST = 8.0

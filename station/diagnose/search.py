@@ -18,7 +18,7 @@ import numpy as np
 
 from station.diagnose.candidates import Candidate, candidates
 from station.diagnose.estimate import REACHED, Fit, eliminate, fit, go_on, nuisance_priors
-from station.diagnose.problem import FINE, MISFIT, QUICK, Hypothesis, Layout, Problem
+from station.diagnose.problem import FINE, MISFIT, QUICK, ROUGH, Hypothesis, Layout, Problem
 from station.model.effects import Stage
 
 LOG_PRIOR = -7.0
@@ -30,10 +30,11 @@ earn its parameters."""
 
 CLOSE = 150.0
 """Twice a log posterior within which two hypotheses are close rivals."""
-HOPELESS = 10.0
-"""Variance of what is left, over the noise's, from which on driving by command is given up: after two causes, or after
-one that takes off less than LITTLE of it."""
+HOPELESS = (100.0, 10.0)
+"""Variance of what is left after one cause and after two, over the noise's, from which on driving by command is given
+up."""
 LITTLE = 0.1
+"""Share of that variance which one cause must take off where more than the second is left."""
 PROMISED = 3
 """Starts that screening promised most of, which are fitted further wherever their quick fit ended."""
 HALFWAY = 3.0
@@ -97,6 +98,11 @@ class Search:
     def temperature(self) -> float:
         """Scale of what the best hypothesis leaves, 1 where it reaches the noise."""
         return max(1.0, min(f.chi2 for f in self.fits.values()) / float(self.problem.samples.sum()))
+
+    def hopeless(self, rung: int, before: float) -> bool:
+        """Whether further causes are not worth trying by command; ``before``: temperature without causes."""
+        left, (much, still_much) = self.temperature(), HOPELESS
+        return left > (much if rung == 0 else still_much) or left > max(still_much, (1.0 - LITTLE) * before)
 
     def score(self, found: Fit, temperature: float) -> float:
         """Log posterior of a set of causes, up to a constant."""
@@ -416,12 +422,12 @@ def look_back(search: Search, found: Fit) -> None:
 
 def refined(problem: Problem, found: Fit) -> Fit:
     """A fit brought to its very end with finer simulations: values are stated from it."""
-    problem.accuracy = FINE
+    searched, problem.accuracy = problem.accuracy, FINE
     try:
         return fit(problem, found.layout, found.x, found.start, found.offset, iterations=12, tolerance=0.02,
                    jacobian=found.jacobian_at(problem.scale))
     finally:
-        problem.accuracy = QUICK
+        problem.accuracy = searched
 
 
 def recalibrate(search: Search, best: Fit) -> Fit:
@@ -459,8 +465,12 @@ def explore(problem: Problem, effort: Effort, progress: Callable[[str, float], N
     """
     search = _ladder(problem, effort, progress)
     if search.misfit and any(run.metadata.controller.get("kind") != "open" for run in problem.runs):
-        problem.by_command = False
-        search = _ladder(problem, Effort(EFFORTS["quick"].fits, EFFORTS["quick"].exact, effort.rungs), progress)
+        problem.by_command, problem.accuracy = False, ROUGH
+        less = Effort(EFFORTS["quick"].fits, EFFORTS["quick"].exact, effort.rungs)
+        search = _ladder(problem, less, progress)
+        if not search.misfit:
+            problem.accuracy = QUICK
+            search = _ladder(problem, less, progress)
     return search
 
 
@@ -481,17 +491,20 @@ def _ladder(problem: Problem, effort: Effort, progress: Callable[[str, float], N
             # Beside another cause a clock is but one more way to move the constants, which no data tell from theirs.
             pool = [c for c in pool if c.effect is None or c.effect.stage is not Stage.CLOCK]
         share = (0.1 + 0.8 * rung / effort.rungs, 0.1 + 0.8 * (rung + 1) / effort.rungs)
-        child = climb(search, parent, [c for c in pool if c.key not in held], share, 4.0 if rung == 0 else 10.0)
+        least = 4.0 if rung == 0 else 10.0
+        child = climb(search, parent, [c for c in pool if c.key not in held], share, least)
         if child is parent:
             break
-        parent = child
-        look_back(search, parent)
+        look_back(search, child)
+        better = search.fits[frozenset(held)]
+        if better.objective < parent.objective - CLOSE:     # the parent's fit had ended on a valley's side
+            child = climb(search, better, [c for c in pool if c.key not in held], share, least)
+            look_back(search, child)
         parent = search.best()
         if not problem.by_command and (rung == 0 or search.misfit):
             parent = recalibrate(search, parent)
         if len(parent.layout.hypothesis.causes()) <= rung:
             break
-        least = search.temperature()
-        if problem.by_command and least > HOPELESS and (rung > 0 or least > (1.0 - LITTLE) * before):
+        if problem.by_command and search.hopeless(rung, before):
             break
     return search

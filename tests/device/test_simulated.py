@@ -56,7 +56,7 @@ def test_the_sensors_read_what_the_plant_model_says():
 
 def test_noise_joins_a_reading_before_it_is_rounded():
     device = SimulatedDevice.of_rig(RIG, Options(noise=0.6, accel_offset=0.4, seed=1))
-    client, read = started(device), []
+    client, read = started(device.open()), []
     for i in range(2000):
         (sample,) = samples(client, device.read(SAMPLE.wire_size))
         read.append(sample.accel)
