@@ -14,7 +14,7 @@ from station.device.client import Client
 from station.device.framing import Decoder, encode
 from station.device.port import open_port
 from station.device.protocol import MESSAGES, State, Status
-from station.device.simulated import Options, SimulatedDevice
+from station.device.simulated import Options, PlantSource, SimulatedDevice
 from station.errors import UsageError
 from station.model.effects.clock_scale import ClockScale
 from station.model.simulate import Plant
@@ -55,12 +55,11 @@ def test_the_sensors_read_what_the_plant_model_says():
 
 
 def test_noise_joins_a_reading_before_it_is_rounded():
-    device = SimulatedDevice.of_rig(RIG, Options(noise=0.6, accel_offset=0.4, seed=1))
-    client, read = started(device.open()), []
+    source, read = PlantSource(RIG, 0.0, 0.4, 0.6, 1), []
+    source.begin()
     for i in range(2000):
-        (sample,) = samples(client, device.read(SAMPLE.wire_size))
-        read.append(sample.accel)
-        answer(client, i + 1, 0)
+        read.append(source.sample()[1])
+        source.advance(0, i < 1000)
     assert abs(np.mean(read) - 0.4) < 5.0 * np.sqrt((0.6**2 + 1.0 / 12.0) / len(read))
     assert np.var(read) == pytest.approx(0.6**2 + 1.0 / 12.0, rel=0.15)
 
