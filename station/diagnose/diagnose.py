@@ -71,6 +71,8 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     names = [run.name for run in runs]
     bought = gain(problem, names, before, after)
     left = remainder(search, best)
+    if not left.is_noise:
+        found_odds = found_odds.doubted(left.variance)
     values, constants = estimates(search, best, search.fits[best_keys])
     known = standing(problem, best_keys, problem.rig_of(best.layout, best.x))
     told = completed(found_odds, best_keys, known)
@@ -106,7 +108,7 @@ def _odds_unseen(search: Search, found: Odds) -> Odds:
     tried = [*leading, *([] if frozenset() in leading else [frozenset()])]
     scores = {}
     for keys in tried:
-        left_out = leave_each_out(search.problem, search.fits[keys])
+        left_out = leave_each_out(search.problem, search.fits[keys], iterations=4, renewals=0)
         scores[keys] = -FEATURES * np.log(mean_error(search.problem, left_out)) + np.log(WORTH) * len(keys)
     return normalised(scores)
 

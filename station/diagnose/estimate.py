@@ -73,9 +73,9 @@ class Fit:
     """Per run (p + nuisances, channels n)."""
     scale: list[np.ndarray]
     """Per run (channels, n), what residuals, outputs and derivatives are scaled with."""
-    stuck: bool
+    stuck: bool = False
     """Whether ``jacobian`` leads no further."""
-    ended: bool
+    ended: bool = False
     """Whether that holds of derivatives computed at this very place, over the widths that the data leave open."""
 
     @property

@@ -29,6 +29,15 @@ class Odds:
     causes: dict[Key, float]
     nothing: float
 
+    def doubted(self, variance: float) -> Odds:
+        """The same where more is left than noise: ``variance`` times the noise's.
+
+        Something that no hypothesis holds is then at work, too, and a known cause may stand in for it; nothing in the
+        data says which.  So of each cause's probability the share that the noise does not account for counts half.
+        """
+        trust = 0.5 * (1.0 + 1.0 / max(variance, 1.0))
+        return Odds(self.sets, {key: trust * p for key, p in self.causes.items()}, self.nothing)
+
     def replacements(self, best: frozenset[Key], cause: Key) -> dict[Key, float]:
         """Probability of each other cause in sets that lack this one."""
         found: dict[Key, float] = {}
@@ -127,6 +136,8 @@ class Remainder:
     """(runs, channels) z-score of the mean square."""
     slow: np.ndarray
     """(runs, channels) z-score of the mean square of sums over SPAN samples: structure, not noise."""
+    variance: float
+    """Of all that is left, over the noise's."""
 
     @property
     def is_noise(self) -> bool:
@@ -143,16 +154,17 @@ def remainder(search: Search, found: Fit) -> Remainder:
     Errors count by their share.  A sum over SPAN samples has the variance SPAN where errors last 1/share < SPAN
     samples, and (sum sqrt(share))^2 where one error lasts all through.
     """
-    size, slow = [], []
+    size, slow, left = [], [], 0.0
     problem = search.problem
     for scaled, share, temper in zip(found.residuals, problem.share, problem.temper, strict=True):
         e = scaled * np.sqrt(temper)[:, None]
         independent = np.maximum(share.sum(axis=1), 1e-9)
         spread = np.sqrt(3.0 / independent + 3.0 / problem.noise_rows)
         size.append((np.sum(e * e, axis=1) / independent - 1.0) / spread)
+        left += float(np.sum(e * e))
         rows = e.shape[1] // SPAN * SPAN
         sums = e[:, :rows].reshape(len(e), -1, SPAN).sum(axis=2) ** 2
         expected = np.minimum(np.sqrt(share[:, :rows]).reshape(len(e), -1, SPAN).sum(axis=2) ** 2, SPAN)
         ratio = sums.sum(axis=1) - expected.sum(axis=1)
         slow.append(ratio / np.sqrt(np.maximum(3.0 * np.sum(expected**2, axis=1), 1e-9)))
-    return Remainder(np.array(size), np.array(slow))
+    return Remainder(np.array(size), np.array(slow), left / float(problem.samples.sum()))

@@ -1,0 +1,28 @@
+"""Odds over sets of causes."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from station.diagnose.posterior import normalised
+
+FRICTION, DEAD_ZONE = ("coulomb_friction", "motor"), ("dead_zone", "amplifier")
+
+
+def test_a_cause_has_the_probability_of_all_sets_that_hold_it() -> None:
+    odds = normalised({frozenset(): 0.0, frozenset({FRICTION}): math.log(2.0),
+                       frozenset({FRICTION, DEAD_ZONE}): math.log(5.0)})
+    assert odds.causes == {FRICTION: pytest.approx(7 / 8), DEAD_ZONE: pytest.approx(5 / 8)}
+    assert odds.nothing == pytest.approx(1 / 8)
+    assert odds.sets[0][0] == frozenset({FRICTION, DEAD_ZONE})
+
+
+@pytest.mark.parametrize(("variance", "trust"), [(1.0, 1.0), (0.9, 1.0), (2.0, 0.75), (1e6, 0.5)])
+def test_what_nothing_explains_makes_what_is_named_less_sure(variance: float, trust: float) -> None:
+    odds = normalised({frozenset({FRICTION}): 0.0, frozenset({DEAD_ZONE}): math.log(3.0)})
+    doubted = odds.doubted(variance)
+    assert doubted.causes[FRICTION] == pytest.approx(0.25 * trust)
+    assert doubted.causes[DEAD_ZONE] == pytest.approx(0.75 * trust)
+    assert doubted.sets == odds.sets
