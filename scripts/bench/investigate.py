@@ -110,7 +110,7 @@ def task(seed: int, hidden: Hidden | None, effort: str, budget: int) -> dict[str
     rig = load_rig("sflr")
     run_test, truth = device(seed, hidden)
     begun = time.perf_counter()
-    found = investigate(rig, run_test, partial(diagnose, effort=effort), budget=budget)
+    found = investigate(rig, run_test, partial(diagnose, effort=effort, threads=1), budget=budget)
     steps = [{"test": step.run.metadata.test, "controller": step.run.metadata.controller["kind"],
               **judged(step.result, truth["causes"])} for step in found.steps]
     adaptive = {"runs": len(found.steps), "outcome": found.outcome, "why": found.why, "steps": steps,
@@ -119,7 +119,7 @@ def task(seed: int, hidden: Hidden | None, effort: str, budget: int) -> dict[str
     run_test, _ = device(seed, hidden)
     runs = [run_test({k: v for k, v in test.items() if k != "controller"}, test["controller"]) for test in BATTERY]
     begun = time.perf_counter()
-    fixed = judged(diagnose(rig, runs, effort=effort), truth["causes"])
+    fixed = judged(diagnose(rig, runs, effort=effort, threads=1), truth["causes"])
     fixed |= {"runs": len(runs), "test_seconds": float(sum(run.t[-1] for run in runs)),
               "seconds": time.perf_counter() - begun}
     return {"seed": seed, "hidden": hidden, "truth": truth, "adaptive": adaptive, "fixed": fixed}
