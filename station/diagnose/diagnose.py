@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -13,8 +14,9 @@ from station.diagnose.evidence import evidence
 from station.diagnose.experiment import choose
 from station.diagnose.heldout import gain, leave_each_out, mean_error, settle, simulate_all
 from station.diagnose.measures import floor, nrmse, step_measures
-from station.diagnose.posterior import Odds, Remainder, estimates, normalised, odds, remainder
+from station.diagnose.posterior import Odds, estimates, normalised, odds
 from station.diagnose.problem import FEATURES, Problem
+from station.diagnose.remainder import Remainder, remainder
 from station.diagnose.result import (
     Cause,
     Diagnosis,
@@ -36,6 +38,8 @@ WORTH = 0.3
 """Prior odds of each further cause where held-out errors decide: it must take two percent off them."""
 LEADING = 6
 """Sets of causes that are judged on runs left out where held-out errors decide."""
+BRIEF: dict[str, Any] = {"iterations": 4, "renewals": 0}
+"""Held-out fits where sets of causes are compared, and those of a quick diagnosis: first steps go most of the way."""
 FEW = 3
 """Runs below which even a settled verdict asks for another test."""
 VISIBLE = 25.0
@@ -66,11 +70,12 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     zero = np.zeros(nothing.layout.size)
     start, offset = settle(problem, nothing.layout, zero, problem.start, problem.offset)
     before = simulate_all(problem, nothing.layout, zero, start, offset)
-    after = leave_each_out(problem, best)
-    refit = after if not best_keys else leave_each_out(problem, nothing)
+    how = {} if search.effort.thorough else BRIEF
+    after = leave_each_out(problem, best, **how)
+    refit = after if not best_keys else leave_each_out(problem, nothing, **how)
     names = [run.name for run in runs]
     bought = gain(problem, names, before, after)
-    left = remainder(search, best)
+    left = remainder(problem, best)
     if not left.is_noise:
         found_odds = found_odds.doubted(left.variance)
     values, constants = estimates(search, best, search.fits[best_keys])
@@ -108,7 +113,7 @@ def _odds_unseen(search: Search, found: Odds) -> Odds:
     tried = [*leading, *([] if frozenset() in leading else [frozenset()])]
     scores = {}
     for keys in tried:
-        left_out = leave_each_out(search.problem, search.fits[keys], iterations=4, renewals=0)
+        left_out = leave_each_out(search.problem, search.fits[keys], **BRIEF)
         scores[keys] = -FEATURES * np.log(mean_error(search.problem, left_out)) + np.log(WORTH) * len(keys)
     return normalised(scores)
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ import numpy as np
 from station.diagnose.candidates import Candidate, candidates
 from station.diagnose.estimate import REACHED, Fit, eliminate, fit, go_on, nuisance_priors
 from station.diagnose.problem import FINE, MISFIT, QUICK, ROUGH, Hypothesis, Layout, Problem
+from station.diagnose.remainder import remainder
 from station.model.effects import Stage
 
 LOG_PRIOR = -7.0
@@ -54,9 +55,13 @@ class Effort:
     """Of these, how many are fitted to the end."""
     rungs: int
     """Most causes in one hypothesis."""
+    thorough: bool
+    """Whether also to follow what looks lost (starts that were promised more than they gave, fits that are worse than
+    their parent), to fit rivals again from the best's constants, to look for more where only noise is left, and to take
+    held-out fits to the end."""
 
 
-EFFORTS = {"quick": Effort(8, 2, 2), "full": Effort(14, 4, 3)}
+EFFORTS = {"quick": Effort(8, 2, 2, False), "full": Effort(14, 4, 3, True)}
 
 
 @dataclass
@@ -328,7 +333,7 @@ def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float
 
     nearest = _nearest(fitted, parent, 0.8, effort.exact + 2)
     sets = {frozenset(f.layout.hypothesis.causes()) for f in nearest}
-    for found in begun[:PROMISED]:
+    for found in begun[: PROMISED if effort.thorough else 0]:
         key = frozenset(found.layout.hypothesis.causes())
         if key not in sets:
             nearest.append(search.fits[key])
@@ -337,6 +342,8 @@ def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float
     for found in halfway:
         search.keep(found)
     exact = _nearest(sorted(halfway, key=lambda f: f.objective), parent, 0.2, effort.exact)
+    if not effort.thorough:
+        exact = [f for f in exact if f.objective < parent.objective]
 
     def to_the_end(found: Fit) -> Fit:
         return go_on(problem, found, **search.care, iterations=40)
@@ -345,7 +352,8 @@ def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float
         search.keep(found)
         search.progress(f"fitted {found.layout.hypothesis.label}",
                         share[0] + (share[1] - share[0]) * (0.6 + 0.4 * (index + 1) / len(exact)))
-    _borrow(search, [frozenset(f.layout.hypothesis.causes()) for f in exact])
+    if effort.thorough:
+        _borrow(search, [frozenset(f.layout.hypothesis.causes()) for f in exact])
     temperature = search.temperature()
     for found in search.fits.values():
         keys = set(found.layout.hypothesis.causes())
@@ -466,7 +474,7 @@ def explore(problem: Problem, effort: Effort, progress: Callable[[str, float], N
     search = _ladder(problem, effort, progress)
     if search.misfit and any(run.metadata.controller.get("kind") != "open" for run in problem.runs):
         problem.by_command, problem.accuracy = False, ROUGH
-        less = Effort(EFFORTS["quick"].fits, EFFORTS["quick"].exact, effort.rungs)
+        less = replace(effort, fits=EFFORTS["quick"].fits, exact=EFFORTS["quick"].exact)
         search = _ladder(problem, less, progress)
         if not search.misfit:
             problem.accuracy = QUICK
@@ -506,5 +514,7 @@ def _ladder(problem: Problem, effort: Effort, progress: Callable[[str, float], N
         if len(parent.layout.hypothesis.causes()) <= rung:
             break
         if problem.by_command and search.hopeless(rung, before):
+            break
+        if not effort.thorough and remainder(problem, parent).is_noise:
             break
     return search
