@@ -499,15 +499,14 @@ def _ladder(problem: Problem, effort: Effort, progress: Callable[[str, float], N
             # Beside another cause a clock is but one more way to move the constants, which no data tell from theirs.
             pool = [c for c in pool if c.effect is None or c.effect.stage is not Stage.CLOCK]
         share = (0.1 + 0.8 * rung / effort.rungs, 0.1 + 0.8 * (rung + 1) / effort.rungs)
-        least = 4.0 if rung == 0 else 10.0
-        child = climb(search, parent, [c for c in pool if c.key not in held], share, least)
+        others, least = [c for c in pool if c.key not in held], 4.0 if rung == 0 else 10.0
+        child = climb(search, parent, others, share, least)
         if child is parent:
             break
         look_back(search, child)
         better = search.fits[frozenset(held)]
         if better.objective < parent.objective - CLOSE:     # the parent's fit had ended on a valley's side
-            child = climb(search, better, [c for c in pool if c.key not in held], share, least)
-            look_back(search, child)
+            look_back(search, climb(search, better, others, share, least))
         parent = search.best()
         if not problem.by_command and (rung == 0 or search.misfit):
             parent = recalibrate(search, parent)

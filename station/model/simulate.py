@@ -90,8 +90,7 @@ def _decoupled(tables: _Tables) -> tuple[Assembly, ModalForm]:
 @functools.lru_cache(maxsize=32)
 def _sampled(tables: _Tables, ports: tuple[str, ...], period: float, substeps: int, delay: float, truncation: float,
              ) -> tuple[ModalForm, stepper.Plan, float]:
-    """The linear part with its ports, truncated and sampled; a plan without effects, and the bound of what is left
-    out."""
+    """The linear part with its ports, truncated and sampled: its form, a plan without effects, and what Model drops."""
     rig, h = tables.rig, period / substeps
     parts, whole = _decoupled(tables)
     inputs, rotations = _port_vectors(parts, ports)
