@@ -76,11 +76,11 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     names = [run.name for run in runs]
     bought = gain(problem, names, before, after)
     left = remainder(problem, best)
-    if not left.is_noise:
-        found_odds = found_odds.doubted(left.variance)
     values, constants = estimates(search, best, search.fits[best_keys])
     known = standing(problem, best_keys, problem.rig_of(best.layout, best.x))
-    told = completed(found_odds, best_keys, known)
+    told, ranked = completed(found_odds, best_keys, known), found_odds
+    if not left.is_noise:
+        told, ranked = (each.doubted(bought.explained_fraction or 0.0) for each in (told, ranked))
     verdict = _verdict(search, told, best_keys, left, gain(problem, names, refit, after), bought, known)
     causes = []
     if verdict in ("explained", "partly_explained", "ambiguous"):
@@ -98,7 +98,7 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
                           next_experiment=with_word(None if decided else choice.next, verdict, told, best_keys, known))
     pictures = evidence(refit_rig, extended, runs[:1] if windows else runs, [(c.effect, c.at) for c in causes])
     report("done", 1.0)
-    return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, _ranking(search, found_odds), pictures,
+    return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, _ranking(search, ranked), pictures,
                            constants, _notes(rig, search, left), time.perf_counter() - begun,
                            choice.plan, choice.prediction,
                            [row.equivalence.sentence for row in known] if causes else [])

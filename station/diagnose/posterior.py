@@ -25,18 +25,20 @@ class Odds:
     """Posterior over the sets of causes that the search has fitted."""
 
     sets: list[tuple[frozenset[Key], float]]
-    """(causes, probability), best first."""
+    """(causes, probability), the best first before any doubt."""
     causes: dict[Key, float]
     nothing: float
 
-    def doubted(self, variance: float) -> Odds:
-        """The same where more is left than noise: ``variance`` times the noise's.
+    def doubted(self, explained: float) -> Odds:
+        """The same where more is left than noise; ``explained``: the share of the error that the named causes take off.
 
         Something that no hypothesis holds is then at work, too, and a known cause may stand in for it; nothing in the
-        data says which.  So of each cause's probability the share that the noise does not account for counts half.
+        data says which.  Of what the causes explain, their own part may be anything from nothing to all: half of it is
+        theirs on average, so every set of causes keeps half that share of its probability.
         """
-        trust = 0.5 * (1.0 + 1.0 / max(variance, 1.0))
-        return Odds(self.sets, {key: trust * p for key, p in self.causes.items()}, self.nothing)
+        trust = 0.5 * min(max(explained, 0.0), 1.0)
+        sets = [(keys, trust * p if keys else p) for keys, p in self.sets]
+        return Odds(sets, {key: trust * p for key, p in self.causes.items()}, self.nothing)
 
     def replacements(self, best: frozenset[Key], cause: Key) -> dict[Key, float]:
         """Probability of each other cause in sets that lack this one."""

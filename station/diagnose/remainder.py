@@ -18,8 +18,6 @@ class Remainder:
     """(runs, channels) z-score of the mean square."""
     slow: np.ndarray
     """(runs, channels) z-score of the mean square of sums over SPAN samples: structure, not noise."""
-    variance: float
-    """Of all that is left, over the noise's."""
 
     @property
     def is_noise(self) -> bool:
@@ -37,16 +35,15 @@ def remainder(problem: Problem, found: Fit) -> Remainder:
     Errors count by their share.  A sum over SPAN samples has the variance SPAN where errors last 1/share < SPAN
     samples, and (sum sqrt(share))^2 where one error lasts all through.
     """
-    size, slow, left = [], [], 0.0
+    size, slow = [], []
     for scaled, share, temper in zip(found.residuals, problem.share, problem.temper, strict=True):
         e = scaled * np.sqrt(temper)[:, None]
         independent = np.maximum(share.sum(axis=1), 1e-9)
         spread = np.sqrt(3.0 / independent + 3.0 / problem.noise_rows)
         size.append((np.sum(e * e, axis=1) / independent - 1.0) / spread)
-        left += float(np.sum(e * e))
         rows = e.shape[1] // SPAN * SPAN
         sums = e[:, :rows].reshape(len(e), -1, SPAN).sum(axis=2) ** 2
         expected = np.minimum(np.sqrt(share[:, :rows]).reshape(len(e), -1, SPAN).sum(axis=2) ** 2, SPAN)
         ratio = sums.sum(axis=1) - expected.sum(axis=1)
         slow.append(ratio / np.sqrt(np.maximum(3.0 * np.sum(expected**2, axis=1), 1e-9)))
-    return Remainder(np.array(size), np.array(slow), left / float(problem.samples.sum()))
+    return Remainder(np.array(size), np.array(slow))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -21,6 +22,7 @@ from station.diagnose.estimate import REACHED, Fit, eliminate, fit, go_on, nuisa
 from station.diagnose.problem import FINE, MISFIT, QUICK, ROUGH, Hypothesis, Layout, Problem
 from station.diagnose.remainder import remainder
 from station.model.effects import Stage
+from station.runs.run import Run
 
 LOG_PRIOR = -7.0
 """Log prior odds that any one further cause is present, about one in a thousand: a false alarm costs a lab more than
@@ -29,6 +31,8 @@ LOG_PRIOR_PARAMETER = -2.5
 """Each further parameter of one effect, beside what the evidence itself asks of it: a law that holds a simpler one must
 earn its parameters."""
 
+HORIZONS = (0.1, 0.3, 1.0)
+"""Seconds from where the command first moves, over which a fit that went astray is begun anew, one after the other."""
 CLOSE = 150.0
 """Twice a log posterior within which two hypotheses are close rivals."""
 HOPELESS = (100.0, 10.0)
@@ -142,12 +146,10 @@ def base_fit(problem: Problem) -> Fit:
     samples = problem.samples.sum()
     found = fit(problem, layout, layout.prior_mean.copy(), tolerance=2.0)
     if problem.by_command:
-        if found.chi2 > REACHED * samples:
-            problem.by_command = False  # a controller keeps a poor model near the data: another start
-            other = fit(problem, layout, layout.prior_mean.copy(), tolerance=10.0)
-            problem.by_command = True
-            other = fit(problem, layout, other.x, other.start, other.offset, tolerance=2.0)
-            found = min(found, other, key=lambda f: f.objective)
+        for another in (_growing, _closed_first):
+            if found.chi2 > REACHED * samples:
+                with suppress(ArithmeticError):     # went where nothing simulates; what there is stands
+                    found = min(found, another(problem, layout), key=lambda f: f.objective)
         if found.chi2 < REACHED * samples:
             found = fit(problem, layout, found.x, found.start, found.offset, jacobian=found.jacobian)
         return found
@@ -158,6 +160,35 @@ def base_fit(problem: Problem) -> Fit:
         found = fit(problem, layout, found.x, found.start, found.offset, tolerance=2.0,
                     jacobian=found.jacobian_at(problem.scale))
     return found
+
+
+def _growing(problem: Problem, layout: Layout) -> Fit:
+    """A fit begun on the start of the runs: vibrations that are off by whole periods later are not yet so there."""
+    whole, x, start, offset = problem.scale, layout.prior_mean.copy(), None, None
+    try:
+        for horizon in HORIZONS:
+            problem.scale = [np.where(np.arange(s.shape[1]) < _moves(run) + horizon * run.sample_rate, s, 0.0)
+                             for s, run in zip(whole, problem.runs, strict=True)]
+            begun = fit(problem, layout, x, start, offset, tolerance=10.0)
+            x, start, offset = begun.x, begun.start, begun.offset
+    finally:
+        problem.scale = whole
+    return fit(problem, layout, x, start, offset, tolerance=2.0)
+
+
+def _moves(run: Run) -> int:
+    """First row in which a command is given."""
+    return int(np.argmax(run.command != 0.0))
+
+
+def _closed_first(problem: Problem, layout: Layout) -> Fit:
+    """A fit begun where one of closed loops ends: a controller keeps a poor model near the data."""
+    problem.by_command = False
+    try:
+        begun = fit(problem, layout, layout.prior_mean.copy(), tolerance=10.0)
+    finally:
+        problem.by_command = True
+    return fit(problem, layout, begun.x, begun.start, begun.offset, tolerance=2.0)
 
 
 def child_layout(problem: Problem, parent: Fit, candidate: Candidate, guess: dict[str, float],
@@ -483,7 +514,7 @@ def explore(problem: Problem, effort: Effort, progress: Callable[[str, float], N
 
 
 def _ladder(problem: Problem, effort: Effort, progress: Callable[[str, float], None]) -> Search:
-    """One cause more per rung; stops where the next rung buys nothing."""
+    """One cause more per rung, from every set that becomes the best; stops where the next rung buys nothing."""
     search = Search(problem, effort, progress)
     progress("fitting the nominal rig's constants", 0.05)
     parent = base_fit(problem)
@@ -493,8 +524,13 @@ def _ladder(problem: Problem, effort: Effort, progress: Callable[[str, float], N
     if not problem.by_command and search.misfit and max(problem.zero_group) > 0:
         # With an unknown zero per run these laws have a free angle per run, fit anything and predict nothing.
         pool = [c for c in pool if c.effect is None or c.effect.absolute is None]
-    for rung in range(effort.rungs):
-        held = set(parent.layout.hypothesis.causes())
+    climbed: set[frozenset[tuple[str, str]]] = set()
+    while True:
+        held = frozenset(parent.layout.hypothesis.causes())
+        rung = len(held)
+        if rung == effort.rungs or held in climbed:
+            break
+        climbed.add(held)
         if rung > 0 and problem.clock is None:
             # Beside another cause a clock is but one more way to move the constants, which no data tell from theirs.
             pool = [c for c in pool if c.effect is None or c.effect.stage is not Stage.CLOCK]
@@ -504,14 +540,12 @@ def _ladder(problem: Problem, effort: Effort, progress: Callable[[str, float], N
         if child is parent:
             break
         look_back(search, child)
-        better = search.fits[frozenset(held)]
+        better = search.fits[held]
         if better.objective < parent.objective - CLOSE:     # the parent's fit had ended on a valley's side
             look_back(search, climb(search, better, others, share, least))
         parent = search.best()
         if not problem.by_command and (rung == 0 or search.misfit):
             parent = recalibrate(search, parent)
-        if len(parent.layout.hypothesis.causes()) <= rung:
-            break
         if problem.by_command and search.hopeless(rung, before):
             break
         if not effort.thorough and remainder(problem, parent).is_noise:

@@ -19,10 +19,10 @@ def test_a_cause_has_the_probability_of_all_sets_that_hold_it() -> None:
     assert odds.sets[0][0] == frozenset({FRICTION, DEAD_ZONE})
 
 
-@pytest.mark.parametrize(("variance", "trust"), [(1.0, 1.0), (0.9, 1.0), (2.0, 0.75), (1e6, 0.5)])
-def test_what_nothing_explains_makes_what_is_named_less_sure(variance: float, trust: float) -> None:
-    odds = normalised({frozenset({FRICTION}): 0.0, frozenset({DEAD_ZONE}): math.log(3.0)})
-    doubted = odds.doubted(variance)
-    assert doubted.causes[FRICTION] == pytest.approx(0.25 * trust)
-    assert doubted.causes[DEAD_ZONE] == pytest.approx(0.75 * trust)
-    assert doubted.sets == odds.sets
+@pytest.mark.parametrize(("explained", "trust"), [(1.0, 0.5), (0.6, 0.3), (-0.2, 0.0)])
+def test_what_nothing_explains_makes_what_is_named_and_its_rivals_less_sure(explained: float, trust: float) -> None:
+    odds = normalised({frozenset(): 0.0, frozenset({FRICTION}): 0.0, frozenset({DEAD_ZONE}): math.log(2.0)})
+    doubted = odds.doubted(explained)
+    assert doubted.causes == {FRICTION: pytest.approx(0.25 * trust), DEAD_ZONE: pytest.approx(0.5 * trust)}
+    assert doubted.replacements(frozenset({DEAD_ZONE}), DEAD_ZONE) == {FRICTION: pytest.approx(0.25 * trust)}
+    assert doubted.nothing == pytest.approx(0.25)
