@@ -88,6 +88,12 @@ class Fit:
         """Logarithms of constants over their nominal values."""
         return self.layout.root @ self.x[: len(self.layout.paths)]
 
+    @property
+    def strain(self) -> float:
+        """What the distances of the constants from nominal cost, squared sigmas."""
+        n = len(self.layout.paths)
+        return float(self.layout.prior_precision[:n] @ (self.x - self.layout.prior_mean)[:n] ** 2)
+
     def jacobian_at(self, scale: list[np.ndarray]) -> list[np.ndarray]:
         """The derivatives under other scales."""
         return [j * (new / np.where(old > 0.0, old, 1.0)).ravel()

@@ -210,6 +210,15 @@ class Problem:
     def _offset(self, run: Run) -> float:
         return float(np.mean(run.accel[: max(rest_rows(run), 1)])) if self.has_accel else 0.0
 
+    def beginning(self, seconds: float) -> Problem:
+        """The same problem with only so much of every run as follows its first command; driven by command."""
+        ends = [int(np.argmax(run.command != 0.0)) + math.ceil(seconds * run.sample_rate) for run in self.runs]
+        short = Problem(self.rig, [run.slice(0, end) for run, end in zip(self.runs, ends, strict=True)],
+                        windows=self.windows)
+        short.pool, short.clock, short.accuracy = self.pool, self.clock, self.accuracy
+        short.scale = [scale[:, :end] for scale, end in zip(self.scale, ends, strict=True)]
+        return short
+
     @property
     def channels(self) -> int:
         """1 without an accelerometer, else 2."""

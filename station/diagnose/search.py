@@ -22,7 +22,6 @@ from station.diagnose.estimate import REACHED, Fit, eliminate, fit, go_on, nuisa
 from station.diagnose.problem import FINE, MISFIT, QUICK, ROUGH, Hypothesis, Layout, Problem
 from station.diagnose.remainder import remainder
 from station.model.effects import Stage
-from station.runs.run import Run
 
 LOG_PRIOR = -7.0
 """Log prior odds that any one further cause is present, about one in a thousand: a false alarm costs a lab more than
@@ -31,6 +30,8 @@ LOG_PRIOR_PARAMETER = -2.5
 """Each further parameter of one effect, beside what the evidence itself asks of it: a law that holds a simpler one must
 earn its parameters."""
 
+STRAINED = 60.0
+"""What the constants' distances from nominal may cost, of some 15 that are right 15 on average."""
 HORIZONS = (0.1, 0.3, 1.0)
 """Seconds from where the command first moves, over which a fit that went astray is begun anew, one after the other."""
 CLOSE = 150.0
@@ -40,6 +41,9 @@ HOPELESS = (100.0, 10.0)
 up."""
 LITTLE = 0.1
 """Share of that variance which one cause must take off where more than the second is left."""
+RETURNS, NEAR = 1, 1.25
+"""How often a search that ends with more than noise goes back to a set it had passed over, and the chi^2 of that set
+over that of the one it had climbed from: what is no noise says little of which is right."""
 PROMISED = 3
 """Starts that screening promised most of, which are fitted further wherever their quick fit ended."""
 HALFWAY = 3.0
@@ -146,7 +150,7 @@ def base_fit(problem: Problem) -> Fit:
     samples = problem.samples.sum()
     found = fit(problem, layout, layout.prior_mean.copy(), tolerance=2.0)
     if problem.by_command:
-        for another in (_growing, _closed_first):
+        for another in (_grown, _closed_first):
             if found.chi2 > REACHED * samples:
                 with suppress(ArithmeticError):     # went where nothing simulates; what there is stands
                     found = min(found, another(problem, layout), key=lambda f: f.objective)
@@ -162,23 +166,19 @@ def base_fit(problem: Problem) -> Fit:
     return found
 
 
-def _growing(problem: Problem, layout: Layout) -> Fit:
-    """A fit begun on the start of the runs: vibrations that are off by whole periods later are not yet so there."""
-    whole, x, start, offset = problem.scale, layout.prior_mean.copy(), None, None
-    try:
-        for horizon in HORIZONS:
-            problem.scale = [np.where(np.arange(s.shape[1]) < _moves(run) + horizon * run.sample_rate, s, 0.0)
-                             for s, run in zip(whole, problem.runs, strict=True)]
-            begun = fit(problem, layout, x, start, offset, tolerance=10.0)
-            x, start, offset = begun.x, begun.start, begun.offset
-    finally:
-        problem.scale = whole
-    return fit(problem, layout, x, start, offset, tolerance=2.0)
+def _begun(beginnings: list[Problem], layout: Layout, parallel: bool) -> Fit:
+    """A fit of longer and longer starts of the runs: vibrations that later are off by whole periods are not yet so."""
+    x, start, offset = layout.prior_mean.copy(), None, None
+    for beginning in beginnings:
+        found = fit(beginning, layout, x, start, offset, tolerance=10.0, parallel=parallel)
+        x, start, offset = found.x, found.start, found.offset
+    return found
 
 
-def _moves(run: Run) -> int:
-    """First row in which a command is given."""
-    return int(np.argmax(run.command != 0.0))
+def _grown(problem: Problem, layout: Layout) -> Fit:
+    """A fit begun on the start of the runs."""
+    begun = _begun([problem.beginning(seconds) for seconds in HORIZONS], layout, parallel=True)
+    return fit(problem, layout, begun.x, begun.start, begun.offset, tolerance=2.0)
 
 
 def _closed_first(problem: Problem, layout: Layout) -> Fit:
@@ -189,6 +189,40 @@ def _closed_first(problem: Problem, layout: Layout) -> Fit:
     finally:
         problem.by_command = True
     return fit(problem, layout, begun.x, begun.start, begun.offset, tolerance=2.0)
+
+
+def far_constants(search: Search, pool: list[Candidate]) -> None:
+    """Set each constant free in a fit begun on the start of the runs; the likeliest are fitted to whole runs.
+
+    One constant that is many sigma off makes a poor fit of all others, about which screening says little.  On the
+    start of the runs the others make up for it; where they do not, something else is wrong.
+    """
+    problem = search.problem
+    first, early, longer = (problem.beginning(seconds) for seconds in HORIZONS)
+    base = _begun([first, early], problem.layout(Hypothesis(), {}), parallel=True)
+    if base.chi2 > REACHED * float(early.samples.sum()):
+        return
+
+    def freed(candidate: Candidate) -> Fit | None:
+        with suppress(ArithmeticError):     # went where nothing simulates
+            return _begun([first, early], problem.layout(candidate.hypothesis, {}), parallel=False)
+        return None
+
+    def further(on: Problem) -> Callable[[Fit], Fit | None]:
+        def one(found: Fit) -> Fit | None:
+            with suppress(ArithmeticError):
+                return fit(on, found.layout, found.x, found.start, found.offset, iterations=15, tolerance=2.0,
+                           parallel=False)
+            return None
+        return one
+
+    fitted = list(problem.pool.map(freed, [c for c in pool if c.effect is None]))
+    for on, most in ((longer, 2 * PROMISED), (problem, PROMISED)):
+        likeliest = sorted((f for f in fitted if f is not None), key=lambda f: f.objective)[:most]
+        fitted = list(problem.pool.map(further(on), likeliest))
+    for found in fitted:
+        if found is not None:
+            search.keep(found)
 
 
 def child_layout(problem: Problem, parent: Fit, candidate: Candidate, guess: dict[str, float],
@@ -525,11 +559,16 @@ def _ladder(problem: Problem, effort: Effort, progress: Callable[[str, float], N
         # With an unknown zero per run these laws have a free angle per run, fit anything and predict nothing.
         pool = [c for c in pool if c.effect is None or c.effect.absolute is None]
     climbed: set[frozenset[tuple[str, str]]] = set()
+    returns = RETURNS if effort.thorough and problem.by_command else 0
     while True:
         held = frozenset(parent.layout.hypothesis.causes())
         rung = len(held)
         if rung == effort.rungs or held in climbed:
-            break
+            passed = _passed_over(search, climbed)
+            if returns == 0 or passed is None or remainder(problem, parent).is_noise:
+                break
+            returns, parent = returns - 1, passed
+            continue
         climbed.add(held)
         if rung > 0 and problem.clock is None:
             # Beside another cause a clock is but one more way to move the constants, which no data tell from theirs.
@@ -538,12 +577,16 @@ def _ladder(problem: Problem, effort: Effort, progress: Callable[[str, float], N
         others, least = [c for c in pool if c.key not in held], 4.0 if rung == 0 else 10.0
         child = climb(search, parent, others, share, least)
         if child is parent:
-            break
+            parent = search.best()
+            continue
         look_back(search, child)
         better = search.fits[held]
         if better.objective < parent.objective - CLOSE:     # the parent's fit had ended on a valley's side
             look_back(search, climb(search, better, others, share, least))
         parent = search.best()
+        if rung == 0 and effort.thorough and problem.by_command and _lost(problem, parent, before):
+            far_constants(search, pool)
+            parent = search.best()
         if not problem.by_command and (rung == 0 or search.misfit):
             parent = recalibrate(search, parent)
         if problem.by_command and search.hopeless(rung, before):
@@ -551,3 +594,18 @@ def _ladder(problem: Problem, effort: Effort, progress: Callable[[str, float], N
         if not effort.thorough and remainder(problem, parent).is_noise:
             break
     return search
+
+
+def _lost(problem: Problem, best: Fit, before: float) -> bool:
+    """Whether one cause has left the constants far from what the rig file says, or a poor fit poor."""
+    return best.strain > STRAINED or (before > REACHED and not remainder(problem, best).is_noise)
+
+
+def _passed_over(search: Search, climbed: set[frozenset[tuple[str, str]]]) -> Fit | None:
+    """The set that came nearest to being climbed from."""
+    found = []
+    for size in range(1, search.effort.rungs):
+        least = min((search.fits[k].chi2 for k in climbed & search.fits.keys() if len(k) == size), default=0.0)
+        found += [(f.chi2 / least, k) for k, f in search.fits.items() if len(k) == size and k not in climbed and least]
+    ratio, keys = min(found, key=lambda row: row[0], default=(np.inf, frozenset()))
+    return search.fits[keys] if ratio < NEAR else None
