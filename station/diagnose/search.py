@@ -199,14 +199,15 @@ def far_constants(search: Search, pool: list[Candidate]) -> None:
     """
     problem = search.problem
     first, early, longer = (problem.beginning(seconds) for seconds in HORIZONS)
-    base = _begun([first, early], problem.layout(Hypothesis(), {}), parallel=True)
-    if base.chi2 > REACHED * float(early.samples.sum()):
-        return
 
-    def freed(candidate: Candidate) -> Fit | None:
+    def begun(hypothesis: Hypothesis) -> Fit | None:
         with suppress(ArithmeticError):     # went where nothing simulates
-            return _begun([first, early], problem.layout(candidate.hypothesis, {}), parallel=False)
+            return _begun([first, early], problem.layout(hypothesis, {}), parallel=False)
         return None
+
+    base = begun(Hypothesis())
+    if base is None or base.chi2 > REACHED * float(early.samples.sum()):
+        return
 
     def further(on: Problem) -> Callable[[Fit], Fit | None]:
         def one(found: Fit) -> Fit | None:
@@ -216,7 +217,7 @@ def far_constants(search: Search, pool: list[Candidate]) -> None:
             return None
         return one
 
-    fitted = list(problem.pool.map(freed, [c for c in pool if c.effect is None]))
+    fitted = list(problem.pool.map(begun, [c.hypothesis for c in pool if c.effect is None]))
     for on, most in ((longer, 2 * PROMISED), (problem, PROMISED)):
         likeliest = sorted((f for f in fitted if f is not None), key=lambda f: f.objective)[:most]
         fitted = list(problem.pool.map(further(on), likeliest))
