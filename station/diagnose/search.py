@@ -44,6 +44,11 @@ LITTLE = 0.1
 RETURNS, NEAR = 1, 1.25
 """How often a search that ends with more than noise goes back to a set it had passed over, and the chi^2 of that set
 over that of the one it had climbed from: what is no noise says little of which is right."""
+BOLD = 100.0
+"""What a guess may change in all outputs together, standard deviations; of one that changes more a smaller one is
+screened, too, for laws are linear in small sizes alone."""
+LEAST = 0.01
+"""Least share of a guess from which a fit begins."""
 PROMISED = 3
 """Starts that screening promised most of, which are fitted further wherever their quick fit ended."""
 HALFWAY = 3.0
@@ -267,8 +272,8 @@ def screen(problem: Problem, parent: Fit, pool: list[Candidate]) -> list[Promise
     settled = np.linalg.solve(matrix, force)
     prior = np.diag(nuisance_priors(problem))
 
-    def promise(task: tuple[Candidate, dict[str, float]]) -> Promise:
-        candidate, guess = task
+    def linear(candidate: Candidate, guess: dict[str, float]) -> tuple[float, float]:
+        """(s, b) of the guess; (0, 0) where it does not simulate."""
         layout, x = child_layout(problem, parent, candidate, guess)
         outputs = problem.outputs(layout, x, parent.start, parent.offset)
         cross, s, b = np.zeros(count), 0.0, 0.0
@@ -276,7 +281,7 @@ def screen(problem: Problem, parent: Fit, pool: list[Candidate]) -> list[Promise
                                                         back, strict=True):
             change = (new - old).ravel()
             if not np.all(np.isfinite(change)):
-                return Promise(candidate, guess, 0.0, 1.0, 0.0)
+                return 0.0, 0.0
             products = j @ change
             own, tied = products[:count], products[count:]
             inner = j[count:] @ j[count:].T + prior
@@ -284,15 +289,17 @@ def screen(problem: Problem, parent: Fit, pool: list[Candidate]) -> list[Promise
             s += float(change @ change - tied @ np.linalg.solve(inner, tied))
             b += float(change @ e.ravel() - tied @ nuisance)
         cross, s, b = cross / scale, s / scale, b / scale
-        s -= float(cross @ np.linalg.solve(matrix, cross))
-        b -= float(cross @ settled)
-        if s <= 1e-9:
-            return Promise(candidate, guess, 0.0, 1.0, max(s, 0.0))
-        size = b / s
-        gain = b * b / s if size > 0.0 else 0.0
-        if size > 3.0:
-            gain = s * (2.0 * 3.0 * size - 9.0)
-        return Promise(candidate, guess, gain, size, s)
+        return s - float(cross @ np.linalg.solve(matrix, cross)), b - float(cross @ settled)
+
+    def promise(task: tuple[Candidate, dict[str, float]]) -> Promise:
+        candidate, guess = task
+        s, b = linear(candidate, guess)
+        found = _promised(candidate, guess, s, b)
+        smaller = _scaled(candidate, guess, BOLD / math.sqrt(s)) if s > BOLD**2 else guess
+        if smaller == guess:
+            return found
+        return max(found, replace(_promised(candidate, smaller, *linear(candidate, smaller)), information=s),
+                   key=lambda p: p.gain)
 
     tasks = [(c, g) for c in pool if c.effect is not None for g in c.guesses]
     found = list(problem.pool.map(promise, tasks))
@@ -303,6 +310,14 @@ def screen(problem: Problem, parent: Fit, pool: list[Candidate]) -> list[Promise
         if candidate.effect is None:
             found.append(_freed(problem, parent, candidate, normal.sum(axis=0) / scale, gradient.sum(axis=0) / scale))
     return sorted(found, key=lambda p: -p.gain)
+
+
+def _promised(candidate: Candidate, guess: dict[str, float], s: float, b: float) -> Promise:
+    if s <= 1e-9:
+        return Promise(candidate, guess, 0.0, 1.0, max(s, 0.0))
+    size = b / s
+    gain = 0.0 if size <= 0.0 else s * (6.0 * size - 9.0) if size > 3.0 else b * b / s
+    return Promise(candidate, guess, gain, size, s)
 
 
 def _freed(problem: Problem, parent: Fit, candidate: Candidate, normal: np.ndarray, gradient: np.ndarray) -> Promise:
@@ -334,12 +349,16 @@ def _sizes(layout: Layout, x: np.ndarray) -> dict[int, dict[str, float]]:
 
 def _started(promise: Promise) -> dict[str, float]:
     """The guess, moved to the size that screening found best, within reason and bounds."""
-    if promise.candidate.effect is None:
+    return _scaled(promise.candidate, promise.guess, min(max(promise.size, LEAST), 5.0))
+
+
+def _scaled(candidate: Candidate, guess: dict[str, float], factor: float) -> dict[str, float]:
+    """A guess so many times its distance from neutral, within bounds."""
+    if candidate.effect is None:
         return {}
-    factor = min(max(promise.size, 0.2), 5.0)
     moved = {}
-    infos = promise.candidate.effect.parameters()
-    for name, value in promise.guess.items():
+    infos = candidate.effect.parameters()
+    for name, value in guess.items():
         info = infos[name]
         if info.neutral is None or not math.isfinite(info.neutral) or info.periodic:
             moved[name] = value
