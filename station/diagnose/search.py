@@ -347,7 +347,7 @@ def _sizes(layout: Layout, x: np.ndarray) -> dict[int, dict[str, float]]:
     return sizes
 
 
-def _started(promise: Promise) -> dict[str, float]:
+def started(promise: Promise) -> dict[str, float]:
     """The guess, moved to the size that screening found best, within reason and bounds."""
     return _scaled(promise.candidate, promise.guess, min(max(promise.size, LEAST), 5.0))
 
@@ -394,7 +394,7 @@ def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float
             chosen.append(promise)
 
     def quick(promise: Promise) -> Fit | None:
-        layout, x = child_layout(problem, parent, promise.candidate, _started(promise))
+        layout, x = child_layout(problem, parent, promise.candidate, started(promise))
         try:
             return fit(problem, layout, x, parent.start, parent.offset, jacobian=child_jacobian(parent, layout),
                        parallel=False, renewals=0, iterations=10, tolerance=0.5)

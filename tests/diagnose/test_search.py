@@ -4,12 +4,22 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from station.diagnose import search as module
 from station.diagnose.candidates import candidates
 from station.diagnose.problem import Problem
-from station.diagnose.search import EFFORTS, REACHED, Search, base_fit, far_constants
+from station.diagnose.search import (
+    EFFORTS,
+    REACHED,
+    Search,
+    base_fit,
+    child_layout,
+    far_constants,
+    screen,
+    started,
+)
 from station.rig import load_rig
 from tests.truth import make_case
 
@@ -107,6 +117,23 @@ def test_a_constant_many_sigma_off_is_found_from_the_start_of_the_runs(seed: int
     assert right is min(found.fits.values(), key=lambda f: f.objective)
     assert right.chi2 < REACHED * problem.samples.sum()
     assert right.strain < 40.0                                      # the others are where the rig file says
+
+
+def test_an_effect_far_smaller_than_its_guesses_is_promised_and_begun_at_its_size() -> None:
+    hidden = {"effect": "torque_ripple", "at": "motor", "amplitude": 1.1e-4, "cycles": 8.0, "phase": 0.2}
+    case = make_case(801, [hidden])
+    problem = Problem(load_rig("sflr"), case.runs)
+    nothing = base_fit(problem)
+    first = next(p for p in screen(problem, nothing, candidates(problem.rig)) if p.candidate.key[0] == "torque_ripple")
+    assert first.guess["cycles"] == 8.0
+    begun = started(first)
+    usual = first.candidate.guesses[0]["amplitude"]
+    assert 1.1e-4 / 3.0 < begun["amplitude"] < 1.1e-4 * 3.0 < usual / 10.0
+    layout, x = child_layout(problem, nothing, first.candidate, begun)
+    outputs = problem.outputs(layout, x, nothing.start, nothing.offset)
+    left = sum(float(np.sum((m * s - y) ** 2))
+               for m, s, y in zip(problem.measured, problem.scale, outputs, strict=True))
+    assert left < nothing.costs.sum() + 0.5 * first.gain            # the constants have yet to follow
 
 
 def test_the_start_of_the_runs_is_the_same_problem_cut_short() -> None:
