@@ -49,6 +49,8 @@ BOLD = 100.0
 screened, too, for laws are linear in small sizes alone."""
 LEAST = 0.01
 """Least share of a guess from which a fit begins."""
+SWAPS = 3
+"""Rivals that are tried in the place of a cause of the best set."""
 PROMISED = 3
 """Starts that screening promised most of, which are fitted further wherever their quick fit ended."""
 HALFWAY = 3.0
@@ -613,7 +615,36 @@ def _ladder(problem: Problem, effort: Effort, progress: Callable[[str, float], N
             break
         if not effort.thorough and remainder(problem, parent).is_noise:
             break
+    if effort.thorough:
+        _swap(search, pool, climbed)
     return search
+
+
+def _swap(search: Search, pool: list[Candidate], climbed: set[frozenset[tuple[str, str]]]) -> None:
+    """Hold causes of the best set against rivals in their place, where the ladder has not: it found them alone."""
+    problem, best = search.problem, search.best()
+    held = frozenset(best.layout.hypothesis.causes())
+    singles = {c.key: c for c in pool if c.key not in held and frozenset({c.key}) in search.fits}
+    alone = sorted(singles, key=lambda key: search.fits[frozenset({key})].objective)[:SWAPS]
+    tasks = [(rest, singles[key]) for cause in held if (rest := held - {cause}) and rest in search.fits.keys() - climbed
+             for key in alone if rest | {key} not in search.fits]
+
+    def swapped(task: tuple[frozenset[tuple[str, str]], Candidate]) -> Fit | None:
+        rest, candidate = task
+        parent, single = search.fits[rest], search.fits[frozenset({candidate.key})]
+        layout, x = child_layout(problem, parent, candidate, _sizes(single.layout, single.x).get(0, {}))
+        x[: len(layout.paths)] = np.linalg.solve(layout.root, best.logs)
+        with suppress(ArithmeticError):     # went where nothing simulates
+            begun = fit(problem, layout, x, best.start, best.offset, jacobian=child_jacobian(parent, layout),
+                        iterations=10, tolerance=0.5, renewals=1, parallel=False)
+            if begun.objective < best.objective + CLOSE:
+                begun = go_on(problem, begun, **search.care, iterations=15)
+            return begun
+        return None
+
+    for found in problem.pool.map(swapped, tasks):
+        if found is not None:
+            search.keep(found)
 
 
 def _lost(problem: Problem, best: Fit, before: float) -> bool:
