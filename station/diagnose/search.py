@@ -47,8 +47,8 @@ over that of the one it had climbed from: what is no noise says little of which 
 BOLD = 100.0
 """What a guess may change in all outputs together, standard deviations; of one that changes more a smaller one is
 screened, too, for laws are linear in small sizes alone."""
-LEAST = 0.01
-"""Least share of a guess from which a fit begins."""
+LEAST, MOST = (0.2, 1e-4), 5.0
+"""Least share of a guess at which its prior is centred, and from which a fit begins; the most of both."""
 SWAPS = 3
 """Rivals that are tried in the place of a cause of the best set."""
 PROMISED = 3
@@ -234,22 +234,22 @@ def far_constants(search: Search, pool: list[Candidate]) -> None:
 
 
 def child_layout(problem: Problem, parent: Fit, candidate: Candidate, guess: dict[str, float],
-                 ) -> tuple[Layout, np.ndarray]:
-    """Layout and start of a parent's hypothesis with one more cause."""
+                 start: dict[str, float] | None = None) -> tuple[Layout, np.ndarray]:
+    """Layout and start of a parent's hypothesis with one more cause; it begins at ``guess``, or at ``start``."""
     base = parent.layout
     hypothesis = base.hypothesis + candidate.hypothesis
-    sizes = _sizes(base, parent.x)
+    sizes = _sizes(base, base.prior_mean)
     n = len(base.paths)
     if candidate.effect is not None:
         sizes[len(hypothesis.effects) - 1] = guess
     layout = problem.layout(hypothesis, sizes)
     inherited = len(base.coordinates)
-    layout.prior_mean[n: n + inherited] = [new.to_x(old.to_value(mean)) for new, old, mean in zip(
-        layout.coordinates, base.coordinates, base.prior_mean[n:], strict=False)]
     x = layout.prior_mean.copy()
     x[:n] = np.linalg.solve(layout.root, parent.logs)
     x[n: n + inherited] = [new.to_x(old.to_value(value)) for new, old, value in zip(
         layout.coordinates, base.coordinates, parent.x[n:], strict=False)]
+    for i, coordinate in enumerate(layout.coordinates[inherited:] if start else (), n + inherited):
+        x[i] = coordinate.to_x(start[coordinate.name])
     tail = base.zeros + base.gap_places
     if tail and (base.zeros, base.gap_places) == (layout.zeros, layout.gap_places):
         x[-tail:] = parent.x[-tail:]
@@ -297,11 +297,12 @@ def screen(problem: Problem, parent: Fit, pool: list[Candidate]) -> list[Promise
         candidate, guess = task
         s, b = linear(candidate, guess)
         found = _promised(candidate, guess, s, b)
-        smaller = _scaled(candidate, guess, BOLD / math.sqrt(s)) if s > BOLD**2 else guess
+        factor = min(BOLD / math.sqrt(s), 1.0) if s > 0.0 else 1.0
+        smaller = _scaled(candidate, guess, factor)
         if smaller == guess:
             return found
-        return max(found, replace(_promised(candidate, smaller, *linear(candidate, smaller)), information=s),
-                   key=lambda p: p.gain)
+        closer = _promised(candidate, guess, *linear(candidate, smaller))
+        return max(found, replace(closer, size=factor * closer.size, information=s), key=lambda p: p.gain)
 
     tasks = [(c, g) for c in pool if c.effect is not None for g in c.guesses]
     found = list(problem.pool.map(promise, tasks))
@@ -349,9 +350,9 @@ def _sizes(layout: Layout, x: np.ndarray) -> dict[int, dict[str, float]]:
     return sizes
 
 
-def started(promise: Promise) -> dict[str, float]:
-    """The guess, moved to the size that screening found best, within reason and bounds."""
-    return _scaled(promise.candidate, promise.guess, min(max(promise.size, LEAST), 5.0))
+def started(promise: Promise) -> tuple[dict[str, float], dict[str, float]]:
+    """Where the prior of an effect's size is centred, near the guess, and where the fit begins, as screening says."""
+    return tuple(_scaled(promise.candidate, promise.guess, min(max(promise.size, least), MOST)) for least in LEAST)
 
 
 def _scaled(candidate: Candidate, guess: dict[str, float], factor: float) -> dict[str, float]:
@@ -396,7 +397,7 @@ def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float
             chosen.append(promise)
 
     def quick(promise: Promise) -> Fit | None:
-        layout, x = child_layout(problem, parent, promise.candidate, started(promise))
+        layout, x = child_layout(problem, parent, promise.candidate, *started(promise))
         try:
             return fit(problem, layout, x, parent.start, parent.offset, jacobian=child_jacobian(parent, layout),
                        parallel=False, renewals=0, iterations=10, tolerance=0.5)
@@ -484,7 +485,7 @@ def look_back(search: Search, found: Fit) -> None:
     """Fit every set with one cause less, from where the whole set ended: each cause must hold against its absence."""
     problem, layout = search.problem, found.layout
     n, causes = len(layout.paths), layout.hypothesis.causes()
-    sizes = _sizes(layout, found.x)
+    sizes = _sizes(layout, layout.prior_mean)
 
     def without(left_out: int) -> Fit | None:
         effects = [k for k in range(len(layout.hypothesis.effects)) if k != left_out]
@@ -497,7 +498,6 @@ def look_back(search: Search, found: Fit) -> None:
         x[:n] = np.linalg.solve(smaller.root, found.logs)
         for j, i in enumerate(kept):
             old, new = layout.coordinates[i], smaller.coordinates[j]
-            smaller.prior_mean[n + j] = new.to_x(old.to_value(layout.prior_mean[n + i]))
             x[n + j] = new.to_x(old.to_value(found.x[n + i]))
         if smaller.zeros == layout.zeros:
             x[n + len(kept): n + len(kept) + smaller.zeros] = found.x[layout.size - layout.gap_places - layout.zeros:
@@ -616,11 +616,11 @@ def _ladder(problem: Problem, effort: Effort, progress: Callable[[str, float], N
         if not effort.thorough and remainder(problem, parent).is_noise:
             break
     if effort.thorough:
-        _swap(search, pool, climbed)
+        swap(search, pool, climbed)
     return search
 
 
-def _swap(search: Search, pool: list[Candidate], climbed: set[frozenset[tuple[str, str]]]) -> None:
+def swap(search: Search, pool: list[Candidate], climbed: set[frozenset[tuple[str, str]]]) -> None:
     """Hold causes of the best set against rivals in their place, where the ladder has not: it found them alone."""
     problem, best = search.problem, search.best()
     held = frozenset(best.layout.hypothesis.causes())
@@ -632,7 +632,8 @@ def _swap(search: Search, pool: list[Candidate], climbed: set[frozenset[tuple[st
     def swapped(task: tuple[frozenset[tuple[str, str]], Candidate]) -> Fit | None:
         rest, candidate = task
         parent, single = search.fits[rest], search.fits[frozenset({candidate.key})]
-        layout, x = child_layout(problem, parent, candidate, _sizes(single.layout, single.x).get(0, {}))
+        guess, start = (_sizes(single.layout, x).get(0, {}) for x in (single.layout.prior_mean, single.x))
+        layout, x = child_layout(problem, parent, candidate, guess, start)
         x[: len(layout.paths)] = np.linalg.solve(layout.root, best.logs)
         with suppress(ArithmeticError):     # went where nothing simulates
             begun = fit(problem, layout, x, best.start, best.offset, jacobian=child_jacobian(parent, layout),

@@ -9,6 +9,7 @@ import pytest
 
 from station.diagnose import search as module
 from station.diagnose.candidates import candidates
+from station.diagnose.estimate import fit
 from station.diagnose.problem import Problem
 from station.diagnose.search import (
     EFFORTS,
@@ -19,6 +20,7 @@ from station.diagnose.search import (
     far_constants,
     screen,
     started,
+    swap,
 )
 from station.rig import load_rig
 from tests.truth import make_case
@@ -39,7 +41,7 @@ class Table:
         self.chi2, self.late, self.climbed = chi2, late or {}, []
         best = lambda search: min(search.fits.values(), key=lambda f: f.chi2 + 5.0 * len(f.causes))  # noqa: E731
         for name, fake in {"base_fit": lambda problem: self.fitted(frozenset()), "climb": self.climb,
-                           "look_back": self.look_back, "candidates": lambda rig: [],
+                           "look_back": self.look_back, "candidates": lambda rig: [], "swap": lambda *_: None,
                            "remainder": lambda problem, f: SimpleNamespace(is_noise=f.chi2 <= 100.0)}.items():
             monkeypatch.setattr(module, name, fake)
         monkeypatch.setattr(Search, "best", best)
@@ -126,14 +128,40 @@ def test_an_effect_far_smaller_than_its_guesses_is_promised_and_begun_at_its_siz
     nothing = base_fit(problem)
     first = next(p for p in screen(problem, nothing, candidates(problem.rig)) if p.candidate.key[0] == "torque_ripple")
     assert first.guess["cycles"] == 8.0
-    begun = started(first)
+    centred, begun = started(first)
+    assert centred["amplitude"] == pytest.approx(0.2 * first.guess["amplitude"])
     usual = first.candidate.guesses[0]["amplitude"]
     assert 1.1e-4 / 3.0 < begun["amplitude"] < 1.1e-4 * 3.0 < usual / 10.0
-    layout, x = child_layout(problem, nothing, first.candidate, begun)
+    layout, x = child_layout(problem, nothing, first.candidate, centred, begun)
     outputs = problem.outputs(layout, x, nothing.start, nothing.offset)
     left = sum(float(np.sum((m * s - y) ** 2))
                for m, s, y in zip(problem.measured, problem.scale, outputs, strict=True))
     assert left < nothing.costs.sum() + 0.5 * first.gain            # the constants have yet to follow
+
+
+def test_a_cause_is_held_against_its_rival_in_its_place() -> None:
+    hidden = [{"effect": "coulomb_friction", "at": "motor", "torque": 2e-3},
+              {"effect": "gain_curve", "at": "amplifier", "exponent": -0.02}]
+    problem = Problem(load_rig("sflr"), make_case(802, hidden).runs)
+    pool = candidates(problem.rig)
+    found = Search(problem, EFFORTS["full"])
+    found.keep(base_fit(problem))
+
+    def add(before: Causes, name: str) -> Causes:
+        candidate = next(c for c in pool if c.key[0] == name and c.at != "base")
+        parent = found.fits[before]
+        layout, x = child_layout(problem, parent, candidate, *started(screen(problem, parent, [candidate])[0]))
+        found.keep(fit(problem, layout, x, parent.start, parent.offset, iterations=40))
+        return before | {candidate.key}
+
+    for name in ("coulomb_friction", "gain_curve"):
+        add(sets(), name)
+    stribeck = add(sets(), "stribeck_friction")
+    stands_in = add(stribeck, "gain_curve")
+    true = frozenset({("coulomb_friction", "motor"), ("gain_curve", "amplifier")})
+    assert frozenset(found.best().layout.hypothesis.causes()) == stands_in and true not in found.fits
+    swap(found, pool, {sets(), stribeck})
+    assert frozenset(found.best().layout.hypothesis.causes()) == true
 
 
 def test_the_start_of_the_runs_is_the_same_problem_cut_short() -> None:
