@@ -19,6 +19,8 @@ import numpy as np
 
 from station.diagnose.problem import Layout, Problem
 
+LOST = (ArithmeticError, np.linalg.LinAlgError)
+"""What a fit raises that went where nothing simulates."""
 STEP = 2e-3
 """Finite-difference step in whitened or logarithmic coordinates."""
 HUGE = 1e30

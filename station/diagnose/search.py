@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from station.diagnose.candidates import Candidate, candidates
-from station.diagnose.estimate import REACHED, Fit, eliminate, fit, go_on, nuisance_priors
+from station.diagnose.estimate import LOST, REACHED, Fit, eliminate, fit, go_on, nuisance_priors
 from station.diagnose.problem import FINE, MISFIT, QUICK, ROUGH, Hypothesis, Layout, Problem
 from station.diagnose.remainder import remainder
 from station.model.effects import Stage
@@ -159,7 +159,7 @@ def base_fit(problem: Problem) -> Fit:
     if problem.by_command:
         for another in (_grown, _closed_first):
             if found.chi2 > REACHED * samples:
-                with suppress(ArithmeticError):     # went where nothing simulates; what there is stands
+                with suppress(*LOST):    # went where nothing simulates; what there is stands
                     found = min(found, another(problem, layout), key=lambda f: f.objective)
         if found.chi2 < REACHED * samples:
             found = fit(problem, layout, found.x, found.start, found.offset, jacobian=found.jacobian)
@@ -208,7 +208,7 @@ def far_constants(search: Search, pool: list[Candidate]) -> None:
     first, early, longer = (problem.beginning(seconds) for seconds in HORIZONS)
 
     def begun(hypothesis: Hypothesis) -> Fit | None:
-        with suppress(ArithmeticError):     # went where nothing simulates
+        with suppress(*LOST):    # went where nothing simulates
             return _begun([first, early], problem.layout(hypothesis, {}), parallel=False)
         return None
 
@@ -218,7 +218,7 @@ def far_constants(search: Search, pool: list[Candidate]) -> None:
 
     def further(on: Problem) -> Callable[[Fit], Fit | None]:
         def one(found: Fit) -> Fit | None:
-            with suppress(ArithmeticError):
+            with suppress(*LOST):
                 return fit(on, found.layout, found.x, found.start, found.offset, iterations=15, tolerance=2.0,
                            parallel=False)
             return None
@@ -401,7 +401,7 @@ def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float
         try:
             return fit(problem, layout, x, parent.start, parent.offset, jacobian=child_jacobian(parent, layout),
                        parallel=False, renewals=0, iterations=10, tolerance=0.5)
-        except (np.linalg.LinAlgError, ArithmeticError):
+        except LOST:
             return None
 
     fitted = []
@@ -473,7 +473,7 @@ def _borrow(search: Search, keys: list[frozenset[tuple[str, str]]]) -> None:
         try:
             return fit(problem, rival.layout, x, first.start, first.offset, jacobian=rival.jacobian, iterations=10,
                        **search.care, parallel=False)
-        except ArithmeticError:
+        except LOST:
             return None  # does not simulate from there; the fit that there is stands
 
     for found in problem.pool.map(again, [f for f in others if f.objective <= first.objective + CLOSE]):
@@ -507,7 +507,7 @@ def look_back(search: Search, found: Fit) -> None:
         try:
             return fit(problem, smaller, x, found.start, found.offset, iterations=15, **search.care,
                        parallel=False)
-        except ArithmeticError:
+        except LOST:
             return None  # does not simulate from there; what there is of that set stands
 
     for smaller in problem.pool.map(without, range(len(causes))):
@@ -635,7 +635,7 @@ def swap(search: Search, pool: list[Candidate], climbed: set[frozenset[tuple[str
         guess, start = (_sizes(single.layout, x).get(0, {}) for x in (single.layout.prior_mean, single.x))
         layout, x = child_layout(problem, parent, candidate, guess, start)
         x[: len(layout.paths)] = np.linalg.solve(layout.root, best.logs)
-        with suppress(ArithmeticError):     # went where nothing simulates
+        with suppress(*LOST):    # went where nothing simulates
             begun = fit(problem, layout, x, best.start, best.offset, jacobian=child_jacobian(parent, layout),
                         iterations=10, tolerance=0.5, renewals=1, parallel=False)
             if begun.objective < best.objective + CLOSE:
