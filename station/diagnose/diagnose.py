@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from station.diagnose.equivalences import SURE, Standing, completed, rivals, standing, with_word
+from station.diagnose.estimate import Fit
 from station.diagnose.evidence import evidence
 from station.diagnose.experiment import choose
-from station.diagnose.heldout import gain, leave_each_out, mean_error, settle, simulate_all
+from station.diagnose.heldout import gain, leave_each_out, mean_error, settle, simulate_all, simulate_unseen
 from station.diagnose.measures import floor, nrmse, step_measures
 from station.diagnose.posterior import Odds, estimates, normalised, odds
 from station.diagnose.problem import FEATURES, Problem
@@ -28,7 +29,7 @@ from station.diagnose.result import (
     Wrong,
 )
 from station.diagnose.search import EFFORTS, Search, explore, refined
-from station.diagnose.unseen import unseen_gain
+from station.diagnose.unseen import refuted, unseen_gain
 from station.errors import UsageError, WorkError
 from station.model.simulate import Simulation
 from station.rig import Rig
@@ -42,6 +43,8 @@ BRIEF: dict[str, Any] = {"iterations": 4, "renewals": 0}
 """Held-out fits where sets of causes are compared, and those of a quick diagnosis: first steps go most of the way."""
 FEW = 3
 """Runs below which even a settled verdict asks for another test."""
+LeftOut = dict[frozenset, list[Fit]]
+"""By set of causes, the fits that left out run after run."""
 VISIBLE = 25.0
 """chi^2 at which an effect of a plain size shows."""
 
@@ -60,19 +63,16 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     runs, windows = _usable(rig, runs)
     problem = Problem(rig, runs, threads, windows)
     search = explore(problem, EFFORTS[effort], report)
-    found_odds = odds(search)
     nothing = search.fits[frozenset()]
     report("judging on runs left out", 0.92)
-    if search.misfit:
-        found_odds = _odds_unseen(search, found_odds)
+    how = {} if search.effort.thorough else BRIEF
+    found_odds, best, left_out = (_odds_unseen if search.misfit else _odds_upheld)(search, how)
     best_keys = found_odds.sets[0][0]
-    best = refined(problem, search.fits[best_keys])
     zero = np.zeros(nothing.layout.size)
     start, offset = settle(problem, nothing.layout, zero, problem.start, problem.offset)
     before = simulate_all(problem, nothing.layout, zero, start, offset)
-    how = {} if search.effort.thorough else BRIEF
-    after = leave_each_out(problem, best, **how)
-    refit = after if not best_keys else leave_each_out(problem, nothing, **how)
+    after = simulate_unseen(problem, left_out[best_keys])
+    refit = after if not best_keys else simulate_unseen(problem, left_out[frozenset()])
     names = [run.name for run in runs]
     bought = gain(problem, names, before, after)
     left = remainder(problem, best)
@@ -104,18 +104,48 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
                            [row.equivalence.sentence for row in known] if causes else [])
 
 
-def _odds_unseen(search: Search, found: Odds) -> Odds:
+def _odds_upheld(search: Search, how: dict[str, Any]) -> tuple[Odds, Fit, LeftOut]:
+    """Odds of the sets of causes that runs left out do not refute, with the best set, and the fits that left runs out.
+
+    The best set is held against each set with one cause less; where a run speaks against it the next best is.
+    """
+    problem, temperature, left_out = search.problem, search.temperature(), {}
+
+    def once(keys: frozenset) -> list[Fit]:
+        if keys not in left_out:
+            left_out[keys] = leave_each_out(problem, search.fits[keys], **how)
+        return left_out[keys]
+
+    once(frozenset())
+    while True:
+        found = odds(search)
+        keys = found.sets[0][0]
+        best = refined(problem, search.fits[keys])
+        if keys:
+            left_out[keys] = leave_each_out(problem, best, **how)
+        smaller = [keys - {key} for key in keys if keys - {key} in search.fits]
+        if not any(refuted(once(rest), left_out[keys], temperature) for rest in smaller):
+            return found, best, left_out
+        search.refuted.add(keys)
+
+
+def _odds_unseen(search: Search, how: dict[str, Any]) -> tuple[Odds, Fit, LeftOut]:
     """Odds of the leading sets of causes by how well they predict runs left out, where none reaches the noise.
 
     Each set's weight is (its held-out error)^-FEATURES, as of FEATURES independent errors, times WORTH per cause.
     """
-    leading = [keys for keys, _ in found.sets[:LEADING]]
+    problem = search.problem
+    leading = [keys for keys, _ in odds(search).sets[:LEADING]]
     tried = [*leading, *([] if frozenset() in leading else [frozenset()])]
     scores = {}
     for keys in tried:
-        left_out = leave_each_out(search.problem, search.fits[keys], **BRIEF)
-        scores[keys] = -FEATURES * np.log(mean_error(search.problem, left_out)) + np.log(WORTH) * len(keys)
-    return normalised(scores)
+        simulations = simulate_unseen(problem, leave_each_out(problem, search.fits[keys], **BRIEF))
+        scores[keys] = -FEATURES * np.log(mean_error(problem, simulations)) + np.log(WORTH) * len(keys)
+    found = normalised(scores)
+    keys = found.sets[0][0]
+    best = refined(problem, search.fits[keys])
+    return found, best, {frozenset(): leave_each_out(problem, search.fits[frozenset()], **how),
+                         keys: leave_each_out(problem, best, **how)}
 
 
 def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice] | None]:

@@ -198,24 +198,32 @@ class _Descent:
         count: the starting angle; count + 1: the offset; -1: the motor's places in the gaps, one row per run.
         Sticking makes outputs kinked; a difference over the width that the data leave open is the one that counts.
         """
-        def moved(k: int) -> list[np.ndarray]:
+        def moved(k: int, way: float = 1.0) -> list[np.ndarray]:
             x, start, offset = here.x.copy(), here.start, here.offset
             if k < 0:
-                x[self.shared:] += PLACE_STEP
+                x[self.shared:] += way * PLACE_STEP
             elif k < self.count:
-                x += spread[:, k]
+                x += way * spread[:, k]
             elif k == self.count:
-                start = start + self.angle
+                start = start + way * self.angle
             else:
-                offset = offset + OFFSET_STEP
+                offset = offset + way * OFFSET_STEP
             return self.problem.outputs(self.layout, x, start, offset)
 
-        found = list((self.problem.pool.map if self.parallel else map)(moved, which))
+        def change_by(k: int) -> list[np.ndarray]:
+            """Per run; a step to where nothing simulates is taken back the other way, and where that fails is 0."""
+            for way in (1.0, -1.0):
+                changes = [way * (y - before) for y, before in zip(moved(k, way), here.outputs, strict=True)]
+                if all(np.all(np.isfinite(change)) for change in changes):
+                    return changes
+            return [np.zeros_like(before) for before in here.outputs]
+
+        found = list((self.problem.pool.map if self.parallel else map)(change_by, which))
         rows: list[np.ndarray] = []
-        for r, before in enumerate(here.outputs):
+        for r in range(len(here.outputs)):
             changes = []
-            for k, y in zip(which, found, strict=True):
-                change = (y[r] - before).ravel()
+            for k, by_run in zip(which, found, strict=True):
+                change = by_run[r].ravel()
                 changes += [change] if k >= 0 else [change * (place == r) for place in range(self.layout.gap_places)]
             rows.append(np.stack(changes))
         return rows

@@ -42,21 +42,28 @@ def simulate_all(problem: Problem, layout: Layout, x: np.ndarray, start: np.ndar
     return [problem.simulate_run(model, layout, x, r, start[r], offset[r], rounding) for r in range(len(problem.runs))]
 
 
-def leave_each_out(problem: Problem, found: Fit, **how: Any) -> list[Simulation]:
-    """Every run, simulated by a fit that left that run out; ``how`` as in ``fit``, by default to the end.
+def leave_each_out(problem: Problem, found: Fit, **how: Any) -> list[Fit]:
+    """For every run a fit that leaves that run out; ``how`` as in ``fit``, by default to the end.
 
     Begun from the fit of all runs, since the way from the prior ends in side valleys; what the left-out run alone had
     said is lost on the way to the end, for there the prior alone speaks.
     """
-    def without(r: int) -> Simulation:
+    def without(r: int) -> Fit:
         weights = np.ones(len(problem.runs))
         weights[r] = 0.0
-        left = fit(problem, found.layout, found.x, found.start, found.offset, weights=weights,
+        return fit(problem, found.layout, found.x, found.start, found.offset, weights=weights,
                    jacobian=found.jacobian_at(problem.scale), parallel=False, **how)
+    return list(problem.pool.map(without, range(len(problem.runs))))
+
+
+def simulate_unseen(problem: Problem, left_out: list[Fit]) -> list[Simulation]:
+    """Every run, simulated by the fit that left that run out."""
+    def one(r: int) -> Simulation:
+        left = left_out[r]
         start, offset = settle(problem, left.layout, left.x, left.start, left.offset)
         model = build(problem.rig_of(left.layout, left.x))
         return problem.simulate_run(model, left.layout, left.x, r, start[r], offset[r], True)
-    return list(problem.pool.map(without, range(len(problem.runs))))
+    return list(problem.pool.map(one, range(len(problem.runs))))
 
 
 def mean_error(problem: Problem, simulations: list[Simulation]) -> float:

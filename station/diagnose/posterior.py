@@ -51,10 +51,10 @@ class Odds:
 
 
 def odds(search: Search) -> Odds:
-    """Normalise the scores of all fits; a constant within 3 sigma of nominal is not a cause."""
+    """Normalise the scores of all fits that no run refutes; a constant within 3 sigma of nominal is not a cause."""
     temperature = search.temperature()
     rows = [(keys, search.score(found, temperature)) for keys, found in search.fits.items()
-            if all(is_beyond(search, found, k) for k in keys)]
+            if keys not in search.refuted and all(is_beyond(search, found, k) for k in keys)]
     return normalised(dict(rows))
 
 

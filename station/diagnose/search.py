@@ -103,6 +103,8 @@ class Search:
     fits: dict[frozenset[tuple[str, str]], Fit] = field(default_factory=dict)
     promises: list[Promise] = field(default_factory=list)
     """Of the first rung."""
+    refuted: set[frozenset[tuple[str, str]]] = field(default_factory=set)
+    """Sets of causes that runs left out speak against."""
 
     @property
     def care(self) -> dict[str, Any]:

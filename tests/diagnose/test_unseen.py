@@ -1,12 +1,13 @@
-"""The first-order error of runs left out is exact where the model is linear."""
+"""What is said of runs left out is exact where the model is linear; and a cause falls where runs speak against it."""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from station.diagnose.estimate import Fit
-from station.diagnose.unseen import left_out_chi2, unseen_gain
+from station.diagnose.unseen import left_out_chi2, refuted, surprise, unseen_gain
 
 RUNS, ROWS = 4, 30
 
@@ -47,3 +48,54 @@ def test_a_column_that_is_needed_helps_on_unseen_runs_and_noise_does_not():
     nothing, one, three = (linear(size)[0] for size in (0, 1, 3))
     assert unseen_gain(nothing, one) > 0.3
     assert unseen_gain(one, three) < 0.0 < one.costs.sum() - three.costs.sum()
+
+
+SIZE, HOW_WELL_SEEN = 8, np.ones(30) / np.sqrt(30.0)
+
+
+def without_each(sizes: list[float], free: bool) -> list[Fit]:
+    """Fits without each run of y = b u + noise, with the ``sizes`` b of the runs; b is free or 0."""
+    rng = np.random.default_rng(0)
+    runs = [b * HOW_WELL_SEEN + rng.normal(size=ROWS) for b in sizes]
+    count, precision = int(free), 1.0 / SIZE**2
+    designs = [HOW_WELL_SEEN[:, None][:, :count] for _ in runs]
+    layout, found = SimpleNamespace(prior_precision=np.full(count, precision), prior_mean=np.zeros(count)), []
+    for r in range(len(runs)):
+        rest = [s for s in range(len(runs)) if s != r]
+        x = np.array([sum(HOW_WELL_SEEN @ runs[s] for s in rest) / (len(rest) + precision)] * count)
+        errors = [y - d @ x for y, d in zip(runs, designs, strict=True)]
+        found.append(Fit(layout, x, np.zeros(1), np.zeros(1), 0.0, np.array([[e @ e] for e in errors]),
+                         np.zeros(len(runs)), np.array([d.T @ d for d in designs]),
+                         np.array([d.T @ e for d, e in zip(designs, errors, strict=True)]), [], [], [], []))
+    return found
+
+
+def test_a_runs_surprise_is_minus_twice_its_log_density_with_the_values_integrated_out():
+    sizes = [3.0, 5.0, 4.0]
+    rng = np.random.default_rng(0)
+    runs = [b * HOW_WELL_SEEN + rng.normal(size=ROWS) for b in sizes]
+    known = len(sizes) - 1 + 1.0 / SIZE**2
+    mean = sum(HOW_WELL_SEEN @ y for y in runs[:2]) / known
+    density = multivariate_normal(mean * HOW_WELL_SEEN, np.eye(ROWS) + np.outer(HOW_WELL_SEEN, HOW_WELL_SEEN) / known)
+    expected = -2.0 * density.logpdf(runs[2]) - ROWS * np.log(2.0 * np.pi)
+    assert surprise(without_each(sizes, True)[2], 2) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize("sizes, falls", [
+    pytest.param([5.0, 5.0, 5.0, 5.0, 5.0], False, id="all-agree"),
+    pytest.param([0.0, 0.0, 0.0, 0.0, 9.0], False, id="not-one-says-no-clearly"),
+    pytest.param([7.0, 7.0, 7.0, -7.0, 7.0], True, id="one-says-the-opposite"),
+    pytest.param([12.0, 12.0, 12.0, 3.0, 12.0], False, id="one-says-less"),
+])
+def test_a_cause_falls_where_a_run_speaks_against_it_and_the_runs_do_not_agree(sizes, falls):
+    assert refuted(without_each(sizes, False), without_each(sizes, True)) is falls
+
+
+def test_a_cause_that_one_run_alone_can_show_stands():
+    """The other runs have no part in it: nothing they say is wrong."""
+    without, found = without_each([0.0, 0.0, 0.0, 9.0], False), without_each([0.0, 0.0, 0.0, 9.0], True)
+    for fit in found:
+        fit.normal[:3], fit.gradient[:3] = 0.0, 0.0
+        fit.costs[:3] = without[0].costs[:3]
+    assert surprise(without[3], 3) - surprise(found[3], 3) > 50.0
+    assert not refuted(without, found)
