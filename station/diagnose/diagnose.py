@@ -84,7 +84,7 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     verdict = _verdict(search, told, best_keys, left, gain(problem, names, refit, after), bought, known)
     causes = []
     if verdict in ("explained", "partly_explained", "ambiguous"):
-        for key in sorted(best_keys, key=lambda k: -told.causes[k]):
+        for key in _in_order(search, best_keys, told):
             causes.append(Cause(effect=key[0], at=key[1], probability=min(told.causes[key], 1.0),
                                 parameters=values[key], rivals=rivals(told, best_keys, key, known)))
     extended = problem.rig_of(best.layout, best.x) if causes else problem.rig_of(nothing.layout, nothing.x)
@@ -100,7 +100,7 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     report("done", 1.0)
     return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, _ranking(search, ranked), pictures,
                            constants, _notes(rig, search, left), time.perf_counter() - begun,
-                           choice.plan, choice.prediction,
+                           choice.plan, choice.unseen, choice.prediction,
                            [row.equivalence.sentence for row in known] if causes else [])
 
 
@@ -146,6 +146,14 @@ def _odds_unseen(search: Search, how: dict[str, Any]) -> tuple[Odds, Fit, LeftOu
     best = refined(problem, search.fits[keys])
     return found, best, {frozenset(): leave_each_out(problem, search.fits[frozenset()], **how),
                          keys: leave_each_out(problem, best, **how)}
+
+
+def _in_order(search: Search, best: frozenset, found: Odds) -> list[tuple[str, str]]:
+    """The causes of the best set by probability, as far as it is printed, then by what each buys beside the others."""
+    def bought(key: tuple[str, str]) -> float:
+        rest = search.fits.get(best - {key})
+        return rest.objective - search.fits[best].objective if rest is not None else 0.0
+    return sorted(best, key=lambda key: (-round(found.causes[key], 2), -bought(key)))
 
 
 def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice] | None]:

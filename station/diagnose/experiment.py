@@ -83,6 +83,8 @@ class Choice:
     plan: NextExperiment
     """The test that is worth most even so: the same, or where none decides, the one that shows most of what these
     runs could not have shown."""
+    unseen: int = 0
+    """Effects of a usual size that the plan would show and the runs so far could not have shown."""
 
 
 @dataclass(frozen=True)
@@ -119,8 +121,10 @@ class Worth:
     cost: float
     why: str
     prediction: Prediction
-    distance: float
+    distance: float = 0.0
     """Largest D of a pair."""
+    shown: int = 0
+    """Effects that would show, and could not have shown in the runs so far."""
 
     @property
     def decides(self) -> bool:
@@ -366,7 +370,7 @@ def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]
             found.append(Worth(trial, planner.worth(trial, float(np.linalg.slogdet(np.eye(m) + both)[1] - before)),
                                planner.cost(run, here), why,
                                planner.predicted(trial, run, (base.words, f"with {effects[e][0]}"),
-                                                 (here.mean, outputs[e])), 0.0))
+                                                 (here.mean, outputs[e])), shown=shown))
         return found
     return judge
 
@@ -434,7 +438,7 @@ def choose(search: Search, odds: Odds, verdict: Verdict) -> Choice:
     judge = showing(planner, _plain(search, fit), _addable(problem.rig, best), [belief(search, fit)])
     plan = _choice(planner.best(judge, trials(problem.rig)))
     if undecidable is not None:
-        return Choice(NextExperiment(test=None, why=undecidable), None, plan.next)
+        return Choice(NextExperiment(test=None, why=undecidable), None, plan.next, plan.unseen)
     return plan
 
 
@@ -465,7 +469,7 @@ def _choice(found: Worth | None) -> Choice:
         none = NextExperiment(test=None, why="no test of this station keeps this rig within half a turn")
         return Choice(none, None, none)
     asked = NextExperiment(test=found.trial.complete(), why=found.why)
-    return Choice(asked, found.prediction, asked)
+    return Choice(asked, found.prediction, asked, found.shown)
 
 
 def _telling(keys: frozenset[Key]) -> str:

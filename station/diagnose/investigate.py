@@ -4,9 +4,10 @@ This knows of no serial line: whoever calls it says how a test is run.
 
 When it ends (``ending``): not before LEAST runs, since what one or two runs say, later ones overturn.  Then as soon as
 two diagnoses in a row agree (the same causes, and the first of them did not find more wrong than the last) and the last
-is settled: one that explains, every cause at least SURE probable; or one that misses nothing.  Or as soon as no test
-would tell the rivals apart, twice in a row; or when two diagnoses in a row, from PATIENCE runs on, agree that something
-is wrong which the catalogue does not describe.  Or when the budget is spent.
+is settled: one that explains, every cause at least SURE probable; or one that misses nothing and knows of no test that
+would show an effect which the runs so far could not have shown.  Or as soon as no test would tell the rivals apart,
+twice in a row; or when two diagnoses in a row, from PATIENCE runs on, agree that something is wrong which the catalogue
+does not describe.  Or when the budget is spent.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ class Step:
         found = self.result.diagnosis
         if found.verdict == "explained":
             return all(cause.probability >= SURE for cause in found.causes)
-        return found.verdict == "nothing_missing"
+        return found.verdict == "nothing_missing" and self.result.unseen == 0
 
 
 @dataclass

@@ -166,6 +166,8 @@ class DiagnosisResult:
     seconds: float = 0.0
     plan: NextExperiment | None = None
     """The best further test, also where the verdict asks for none or none would decide."""
+    unseen: int = 0
+    """Effects of a usual size that it would show and these runs could not have shown."""
     prediction: Prediction | None = None
     """What the leading rivals say of it."""
     equivalences: list[str] = field(default_factory=list)

@@ -34,6 +34,8 @@ STRAINED = 60.0
 """What the constants' distances from nominal may cost, of some 15 that are right 15 on average."""
 HORIZONS = (0.1, 0.3, 1.0)
 """Seconds from where the command first moves, over which a fit that went astray is begun anew, one after the other."""
+FAR = (-2.0, 1.5, 3.0)
+"""Logarithms of a constant over nominal at which it is held while the others are fitted, before it is set free."""
 CLOSE = 150.0
 """Twice a log posterior within which two hypotheses are close rivals."""
 HOPELESS = (100.0, 10.0)
@@ -175,11 +177,11 @@ def base_fit(problem: Problem) -> Fit:
     return found
 
 
-def _begun(beginnings: list[Problem], layout: Layout, parallel: bool) -> Fit:
+def _begun(beginnings: list[Problem], layout: Layout, parallel: bool, iterations: int = 25) -> Fit:
     """A fit of longer and longer starts of the runs: vibrations that later are off by whole periods are not yet so."""
     x, start, offset = layout.prior_mean.copy(), None, None
     for beginning in beginnings:
-        found = fit(beginning, layout, x, start, offset, tolerance=10.0, parallel=parallel)
+        found = fit(beginning, layout, x, start, offset, tolerance=10.0, parallel=parallel, iterations=iterations)
         x, start, offset = found.x, found.start, found.offset
     return found
 
@@ -200,36 +202,58 @@ def _closed_first(problem: Problem, layout: Layout) -> Fit:
     return fit(problem, layout, begun.x, begun.start, begun.offset, tolerance=2.0)
 
 
-def far_constants(search: Search, pool: list[Candidate]) -> None:
-    """Set each constant free in a fit begun on the start of the runs; the likeliest are fitted to whole runs.
+def begun_anew(search: Search, pool: list[Candidate]) -> None:
+    """Fit single causes, begun on the start of the runs with the rig's nominal constants; the likeliest to the end.
 
-    One constant that is many sigma off makes a poor fit of all others, about which screening says little.  On the
-    start of the runs the others make up for it; where they do not, something else is wrong.
+    One constant that is many sigma off, or an effect for which the constants together make up, leads a fit of whole
+    runs to constants about which screening says little.  On the start of the runs effects are screened, and each
+    constant is set free, also from far values to which the others were fitted first.
     """
     problem = search.problem
     first, early, longer = (problem.beginning(seconds) for seconds in HORIZONS)
+    base = problem.layout(Hypothesis(), {})
+    try:
+        nothing = _begun([first, early], base, parallel=True)
+    except LOST:                 # went where nothing simulates
+        return
 
-    def begun(hypothesis: Hypothesis) -> Fit | None:
-        with suppress(*LOST):    # went where nothing simulates
-            return _begun([first, early], problem.layout(hypothesis, {}), parallel=False)
+    def freed(task: tuple[Candidate, float]) -> Fit | None:
+        candidate, far = task
+        layout, shift = problem.layout(candidate.hypothesis, {}), np.zeros(len(base.paths))
+        shift[base.paths.index(candidate.hypothesis.constants[0])] = far
+        mean = base.prior_mean.copy()
+        mean[: len(shift)] += np.linalg.solve(base.root, shift)
+        with suppress(*LOST):
+            held = _begun([first, early], replace(base, prior_mean=mean), False, iterations=6) if far else nothing
+            return fit(early, layout, _carried(held, layout, []), held.start, held.offset, tolerance=2.0,
+                       parallel=False, iterations=6)
         return None
 
-    base = begun(Hypothesis())
-    if base is None or base.chi2 > REACHED * float(early.samples.sum()):
-        return
+    def joined(promise: Promise) -> Fit | None:
+        layout, x = child_layout(early, nothing, promise.candidate, *started(promise))
+        with suppress(*LOST):
+            return fit(early, layout, x, nothing.start, nothing.offset, jacobian=child_jacobian(nothing, layout),
+                       tolerance=2.0, parallel=False)
+        return None
 
     def further(on: Problem) -> Callable[[Fit], Fit | None]:
         def one(found: Fit) -> Fit | None:
             with suppress(*LOST):
-                return fit(on, found.layout, found.x, found.start, found.offset, iterations=15, tolerance=2.0,
+                return fit(on, found.layout, found.x, found.start, found.offset, iterations=40, tolerance=2.0,
                            parallel=False)
             return None
         return one
 
-    fitted = list(problem.pool.map(begun, [c.hypothesis for c in pool if c.effect is None]))
+    promises: dict[tuple[str, str], Promise] = {}
+    for promise in screen(early, nothing, [c for c in pool if c.effect is not None]):
+        promises.setdefault(promise.candidate.key, promise)
+    fitted = list(problem.pool.map(joined, list(promises.values())[: 2 * PROMISED]))
+    fitted += problem.pool.map(freed, [(c, far) for c in pool if c.effect is None for far in (0.0, *FAR)])
     for on, most in ((longer, 2 * PROMISED), (problem, PROMISED)):
-        likeliest = sorted((f for f in fitted if f is not None), key=lambda f: f.objective)[:most]
-        fitted = list(problem.pool.map(further(on), likeliest))
+        likeliest: dict[frozenset[tuple[str, str]], Fit] = {}
+        for found in sorted((f for f in fitted if f is not None), key=lambda f: f.objective):
+            likeliest.setdefault(frozenset(found.layout.hypothesis.causes()), found)
+        fitted = list(problem.pool.map(further(on), list(likeliest.values())[:most]))
     for found in fitted:
         if found is not None:
             search.keep(found)
@@ -241,21 +265,33 @@ def child_layout(problem: Problem, parent: Fit, candidate: Candidate, guess: dic
     base = parent.layout
     hypothesis = base.hypothesis + candidate.hypothesis
     sizes = _sizes(base, base.prior_mean)
-    n = len(base.paths)
     if candidate.effect is not None:
         sizes[len(hypothesis.effects) - 1] = guess
     layout = problem.layout(hypothesis, sizes)
     inherited = len(base.coordinates)
-    x = layout.prior_mean.copy()
-    x[:n] = np.linalg.solve(layout.root, parent.logs)
-    x[n: n + inherited] = [new.to_x(old.to_value(value)) for new, old, value in zip(
-        layout.coordinates, base.coordinates, parent.x[n:], strict=False)]
-    for i, coordinate in enumerate(layout.coordinates[inherited:] if start else (), n + inherited):
-        x[i] = coordinate.to_x(start[coordinate.name])
-    tail = base.zeros + base.gap_places
-    if tail and (base.zeros, base.gap_places) == (layout.zeros, layout.gap_places):
-        x[-tail:] = parent.x[-tail:]
+    x = _carried(parent, layout, list(range(inherited)))
+    if start:
+        for i, coordinate in enumerate(layout.coordinates[inherited:], len(base.paths) + inherited):
+            x[i] = coordinate.to_x(start[coordinate.name])
     return layout, x
+
+
+def _carried(found: Fit, layout: Layout, kept: list[int]) -> np.ndarray:
+    """A fit's values in another layout, whose first coordinates are these of its own; new ones at their prior mean."""
+    old, n = found.layout, len(layout.paths)
+    x = layout.prior_mean.copy()
+    x[:n] = np.linalg.solve(layout.root, found.logs)
+    for i, k in enumerate(kept):
+        x[n + i] = layout.coordinates[i].to_x(old.coordinates[k].to_value(found.x[n + k]))
+
+    def tails(of: Layout) -> tuple[slice, slice]:
+        """Where the zeros are, and the places in the gaps."""
+        gaps = of.size - of.gap_places
+        return slice(gaps - of.zeros, gaps), slice(gaps, of.size)
+    for here, there in zip(tails(layout), tails(old), strict=True):
+        if here.stop - here.start == there.stop - there.start:
+            x[here] = found.x[there]
+    return x
 
 
 def child_jacobian(parent: Fit, layout: Layout) -> list[np.ndarray]:
@@ -486,8 +522,7 @@ def _borrow(search: Search, keys: list[frozenset[tuple[str, str]]]) -> None:
 def look_back(search: Search, found: Fit) -> None:
     """Fit every set with one cause less, from where the whole set ended: each cause must hold against its absence."""
     problem, layout = search.problem, found.layout
-    n, causes = len(layout.paths), layout.hypothesis.causes()
-    sizes = _sizes(layout, layout.prior_mean)
+    causes, sizes = layout.hypothesis.causes(), _sizes(layout, layout.prior_mean)
 
     def without(left_out: int) -> Fit | None:
         effects = [k for k in range(len(layout.hypothesis.effects)) if k != left_out]
@@ -495,17 +530,7 @@ def look_back(search: Search, found: Fit) -> None:
                           if k != left_out)
         hypothesis = Hypothesis(tuple(layout.hypothesis.effects[k] for k in effects), constants)
         smaller = problem.layout(hypothesis, {i: sizes[k] for i, k in enumerate(effects)})
-        kept = [i for i, c in enumerate(layout.coordinates) if c.effect != left_out]
-        x = smaller.prior_mean.copy()
-        x[:n] = np.linalg.solve(smaller.root, found.logs)
-        for j, i in enumerate(kept):
-            old, new = layout.coordinates[i], smaller.coordinates[j]
-            x[n + j] = new.to_x(old.to_value(found.x[n + i]))
-        if smaller.zeros == layout.zeros:
-            x[n + len(kept): n + len(kept) + smaller.zeros] = found.x[layout.size - layout.gap_places - layout.zeros:
-                                                                      layout.size - layout.gap_places]
-        if smaller.gap_places:
-            x[-smaller.gap_places:] = found.x[-layout.gap_places:]
+        x = _carried(found, smaller, [i for i, c in enumerate(layout.coordinates) if c.effect != left_out])
         try:
             return fit(problem, smaller, x, found.start, found.offset, iterations=15, **search.care,
                        parallel=False)
@@ -609,7 +634,7 @@ def _ladder(problem: Problem, effort: Effort, progress: Callable[[str, float], N
             look_back(search, climb(search, better, others, share, least))
         parent = search.best()
         if rung == 0 and effort.thorough and problem.by_command and _lost(problem, parent, before):
-            far_constants(search, pool)
+            begun_anew(search, pool)
             parent = search.best()
         if not problem.by_command and (rung == 0 or search.misfit):
             parent = recalibrate(search, parent)

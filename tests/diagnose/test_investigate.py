@@ -18,12 +18,14 @@ PULSE = {"kind": "pulse", "amplitude": 90.0, "controller": NAMED["open"]}
 DEAD, DRAG = ("dead_zone", "amplifier"), ("quadratic_drag", "base")
 
 
-def said(verdict: str, *causes: tuple[str, str], probability: float = 0.99, stuck: bool = False) -> DiagnosisResult:
-    """A diagnosis that plans a pulse; ``stuck``: and says that no test would decide."""
+def said(verdict: str, *causes: tuple[str, str], probability: float = 0.99, stuck: bool = False,
+         unseen: int = 0) -> DiagnosisResult:
+    """A diagnosis that plans a pulse, to show ``unseen`` effects; ``stuck``: and says that no test would decide."""
     asked = NextExperiment(test=None, why="they are the same") if stuck else None
     found = Diagnosis(verdict=verdict, gain=Gain(held_out=[]), next_experiment=asked, causes=[
         Cause(effect=effect, at=at, probability=probability, parameters={}) for effect, at in causes])
-    return DiagnosisResult(found, SFLR, SFLR, SFLR, [], plan=NextExperiment(test=PULSE, why="because"))
+    return DiagnosisResult(found, SFLR, SFLR, SFLR, [], plan=NextExperiment(test=PULSE, why="because"),
+                           unseen=unseen)
 
 
 def played(*diagnoses: DiagnosisResult, budget: int = 8):
@@ -48,6 +50,9 @@ FOUND, CLEAN = said("explained", DEAD), said("nothing_missing")
     ([FOUND], LEAST, "decided"),
     ([CLEAN], LEAST, "decided"),
     ([CLEAN, FOUND], LEAST, "decided"),
+    ([said("nothing_missing", unseen=2)] * 4 + [CLEAN], 5, "decided"),
+    ([said("nothing_missing", unseen=1)], 8, "budget"),
+    ([said("explained", DEAD, unseen=3)], LEAST, "decided"),
     ([FOUND, FOUND, CLEAN, CLEAN], 4, "decided"),
     ([FOUND, said("explained", DRAG), FOUND, FOUND], 4, "decided"),
     ([said("explained", DEAD, DRAG), FOUND, said("explained", DEAD, DRAG), FOUND, FOUND], 5, "decided"),

@@ -16,8 +16,8 @@ from station.diagnose.search import (
     REACHED,
     Search,
     base_fit,
+    begun_anew,
     child_layout,
-    far_constants,
     screen,
     started,
     swap,
@@ -114,7 +114,7 @@ def test_a_constant_many_sigma_off_is_found_from_the_start_of_the_runs(seed: int
     problem = Problem(load_rig("sflr"), case.runs)
     found = Search(problem, EFFORTS["full"])
     found.keep(base_fit(problem))
-    far_constants(found, candidates(problem.rig))
+    begun_anew(found, candidates(problem.rig))
     right = found.fits[frozenset({(f"parameter:{path}", "")})]
     assert right is min(found.fits.values(), key=lambda f: f.objective)
     assert right.chi2 < REACHED * problem.samples.sum()
