@@ -24,6 +24,9 @@ REFUTED = 12.0
 """-2 log of the odds that one unseen run gives against a cause from which on the runs must agree in its favour.  Of a
 cause that is there a run says so much less often than once in 400: the odds p_0/p_1 have the mean 1 under p_1
 (Markov's inequality)."""
+ALONE = 60.0
+"""-2 log of the odds that unseen runs together give for an effect, from which on one of them may be alone in it: what
+rounding leaves in one run can look like a small effect."""
 
 
 def left_out_chi2(found: Fit, temperature: float = 1.0) -> float:
@@ -56,9 +59,11 @@ def surprise(left: Fit, run: int, temperature: float = 1.0) -> float:
 def refuted(without: Sequence[Fit], found: Sequence[Fit], temperature: float = 1.0) -> bool:
     """Whether unseen runs speak against a cause; ``without`` it and with it, fits that leave out run after run.
 
-    One run must clearly do so, and what all gain together must not exceed their scatter.
+    What they gain together must exceed their scatter, unless it is much and no run speaks against it.  What tells of a
+    constant is the rig file as well, beyond the runs: there one run must clearly be against it.
     """
     gains = np.array([surprise(b, r, temperature) - surprise(a, r, temperature)
                       for r, (b, a) in enumerate(zip(without, found, strict=True))])
-    scatter = math.sqrt(len(gains)) * float(np.std(gains, ddof=1))
-    return bool(gains.min() < -REFUTED and gains.sum() < scatter)
+    effect = len(found[0].layout.hypothesis.effects) > len(without[0].layout.hypothesis.effects)
+    scattered = gains.sum() <= math.sqrt(len(gains)) * float(np.std(gains, ddof=1))
+    return bool(scattered and (gains.min() < -REFUTED or effect and gains.sum() < ALONE))

@@ -59,7 +59,9 @@ def without_each(sizes: list[float], free: bool) -> list[Fit]:
     runs = [b * HOW_WELL_SEEN + rng.normal(size=ROWS) for b in sizes]
     count, precision = int(free), 1.0 / SIZE**2
     designs = [HOW_WELL_SEEN[:, None][:, :count] for _ in runs]
-    layout, found = SimpleNamespace(prior_precision=np.full(count, precision), prior_mean=np.zeros(count)), []
+    layout = SimpleNamespace(prior_precision=np.full(count, precision), prior_mean=np.zeros(count),
+                             hypothesis=SimpleNamespace(effects=("one",) * count))
+    found = []
     for r in range(len(runs)):
         rest = [s for s in range(len(runs)) if s != r]
         x = np.array([sum(HOW_WELL_SEEN @ runs[s] for s in rest) / (len(rest) + precision)] * count)
@@ -83,7 +85,7 @@ def test_a_runs_surprise_is_minus_twice_its_log_density_with_the_values_integrat
 
 @pytest.mark.parametrize("sizes, falls", [
     pytest.param([5.0, 5.0, 5.0, 5.0, 5.0], False, id="all-agree"),
-    pytest.param([0.0, 0.0, 0.0, 0.0, 9.0], False, id="not-one-says-no-clearly"),
+    pytest.param([0.0, 0.0, 0.0, 0.0, 9.0], True, id="one-alone-says-so"),
     pytest.param([7.0, 7.0, 7.0, -7.0, 7.0], True, id="one-says-the-opposite"),
     pytest.param([12.0, 12.0, 12.0, 3.0, 12.0], False, id="one-says-less"),
 ])
@@ -91,11 +93,17 @@ def test_a_cause_falls_where_a_run_speaks_against_it_and_the_runs_do_not_agree(s
     assert refuted(without_each(sizes, False), without_each(sizes, True)) is falls
 
 
-def test_a_cause_that_one_run_alone_can_show_stands():
-    """The other runs have no part in it: nothing they say is wrong."""
-    without, found = without_each([0.0, 0.0, 0.0, 9.0], False), without_each([0.0, 0.0, 0.0, 9.0], True)
+@pytest.mark.parametrize("size, others, falls", [
+    pytest.param(9.0, 1.0, False, id="much-and-the-others-are-silent"),
+    pytest.param(6.0, 1.0, True, id="little-and-the-others-pay-for-it"),
+    pytest.param(6.0, -1.0, False, id="little-and-the-others-gain-too"),
+])
+def test_an_effect_that_one_run_alone_shows_must_show_much(size, others, falls):
+    """``others``: what the effect costs the other runs, which hardly see it."""
+    runs = [0.0, 0.0, 0.0, size]
+    without, found = without_each(runs, False), without_each(runs, True)
     for fit in found:
         fit.normal[:3], fit.gradient[:3] = 0.0, 0.0
-        fit.costs[:3] = without[0].costs[:3]
-    assert surprise(without[3], 3) - surprise(found[3], 3) > 50.0
-    assert not refuted(without, found)
+        fit.costs[:3] = without[0].costs[:3] + others
+    assert surprise(without[3], 3) - surprise(found[3], 3) > 30.0
+    assert refuted(without, found) is falls
