@@ -46,7 +46,8 @@ LITTLE = 0.1
 """Share of that variance which one cause must take off where more than the second is left."""
 RETURNS, NEAR = 1, 1.25
 """How often a search that ends with more than noise goes back to a set it had passed over, and the chi^2 of that set
-over that of the one it had climbed from: what is no noise says little of which is right."""
+over that of the one it had climbed from: what is no noise says little of which is right.  What begins anew is followed
+as far."""
 BOLD = 100.0
 """What a guess may change in all outputs together, standard deviations; of one that changes more a smaller one is
 screened, too, for laws are linear in small sizes alone."""
@@ -178,11 +179,11 @@ def base_fit(problem: Problem) -> Fit:
     return found
 
 
-def _begun(beginnings: list[Problem], layout: Layout, parallel: bool, iterations: int = 25) -> Fit:
+def _begun(beginnings: list[Problem], layout: Layout, parallel: bool) -> Fit:
     """A fit of longer and longer starts of the runs: vibrations that later are off by whole periods are not yet so."""
     x, start, offset = layout.prior_mean.copy(), None, None
     for beginning in beginnings:
-        found = fit(beginning, layout, x, start, offset, tolerance=10.0, parallel=parallel, iterations=iterations)
+        found = fit(beginning, layout, x, start, offset, tolerance=10.0, parallel=parallel)
         x, start, offset = found.x, found.start, found.offset
     return found
 
@@ -214,27 +215,37 @@ def begun_anew(search: Search, pool: list[Candidate]) -> None:
     first, early, longer = (problem.beginning(seconds) for seconds in HORIZONS)
     base = problem.layout(Hypothesis(), {})
     try:
-        nothing = _begun([first, early], base, parallel=True)
+        begun = _begun([first], base, parallel=True)
+        nothing = fit(early, base, begun.x, begun.start, begun.offset, tolerance=2.0)
     except LOST:                 # went where nothing simulates
         return
 
-    def freed(task: tuple[Candidate, float]) -> Fit | None:
-        candidate, far = task
-        layout, shift = problem.layout(candidate.hypothesis, {}), np.zeros(len(base.paths))
-        shift[base.paths.index(candidate.hypothesis.constants[0])] = far
+    def freed(candidate: Candidate, held: Fit) -> Fit | None:
+        with suppress(*LOST):
+            layout = problem.layout(candidate.hypothesis, {})
+            return fit(early, layout, _carried(held, layout, []), held.start, held.offset, tolerance=2.0,
+                       parallel=False, iterations=6)
+        return None
+
+    def held(task: tuple[Candidate, float]) -> Fit | None:
+        """The others fitted while one constant is held far off; given up where they do not make up for it at all."""
+        shift = np.zeros(len(base.paths))
+        shift[base.paths.index(task[0].hypothesis.constants[0])] = task[1]
         mean = base.prior_mean.copy()
         mean[: len(shift)] += np.linalg.solve(base.root, shift)
         with suppress(*LOST):
-            held = _begun([first, early], replace(base, prior_mean=mean), False, iterations=6) if far else nothing
-            return fit(early, layout, _carried(held, layout, []), held.start, held.offset, tolerance=2.0,
-                       parallel=False, iterations=6)
+            layout = replace(base, prior_mean=mean)
+            found = fit(first, layout, mean, tolerance=10.0, parallel=False, iterations=6)
+            if found.objective < begun.objective + CLOSE:
+                return fit(early, layout, found.x, found.start, found.offset, tolerance=10.0, parallel=False,
+                           iterations=6)
         return None
 
     def joined(promise: Promise) -> Fit | None:
         layout, x = child_layout(early, nothing, promise.candidate, *started(promise))
         with suppress(*LOST):
             return fit(early, layout, x, nothing.start, nothing.offset, jacobian=child_jacobian(nothing, layout),
-                       tolerance=2.0, parallel=False)
+                       tolerance=2.0, parallel=False, iterations=10)
         return None
 
     def further(on: Problem) -> Callable[[Fit], Fit | None]:
@@ -249,11 +260,18 @@ def begun_anew(search: Search, pool: list[Candidate]) -> None:
     for promise in screen(early, nothing, [c for c in pool if c.effect is not None]):
         promises.setdefault(promise.candidate.key, promise)
     fitted = list(problem.pool.map(joined, list(promises.values())[: 2 * PROMISED]))
-    fitted += problem.pool.map(freed, [(c, far) for c in pool if c.effect is None for far in (0.0, *FAR)])
+    constants = [c for c in pool if c.effect is None]
+    tasks = [(c, far) for c in constants for far in FAR]
+    starts = sorted(((f, c) for f, (c, _) in zip(problem.pool.map(held, tasks), tasks, strict=True) if f is not None),
+                    key=lambda row: row[0].objective)[: 2 * PROMISED]
+    starts += [(nothing, c) for c in constants]
+    fitted += problem.pool.map(lambda row: freed(row[1], row[0]), starts)
     for on, most in ((longer, 2 * PROMISED), (problem, PROMISED)):
         likeliest: dict[frozenset[tuple[str, str]], Fit] = {}
-        for found in sorted((f for f in fitted if f is not None), key=lambda f: f.objective):
-            likeliest.setdefault(frozenset(found.layout.hypothesis.causes()), found)
+        ranked = sorted((f for f in fitted if f is not None), key=lambda f: f.objective)
+        for found in ranked:
+            if found.objective < NEAR * ranked[0].objective:
+                likeliest.setdefault(frozenset(found.layout.hypothesis.causes()), found)
         fitted = list(problem.pool.map(further(on), list(likeliest.values())[:most]))
     for found in fitted:
         if found is not None:
