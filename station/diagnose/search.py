@@ -235,7 +235,7 @@ def begun_anew(search: Search, pool: list[Candidate]) -> None:
         mean[: len(shift)] += np.linalg.solve(base.root, shift)
         with suppress(*LOST):
             layout = replace(base, prior_mean=mean)
-            found = fit(first, layout, mean, tolerance=10.0, parallel=False, iterations=6)
+            found = fit(first, layout, mean, tolerance=10.0, parallel=False, iterations=15)
             if found.objective < begun.objective + CLOSE:
                 return fit(early, layout, found.x, found.start, found.offset, tolerance=10.0, parallel=False,
                            iterations=6)

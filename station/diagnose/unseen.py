@@ -24,7 +24,7 @@ REFUTED = 12.0
 """-2 log of the odds that one unseen run gives against a cause from which on the runs must agree in its favour.  Of a
 cause that is there a run says so much less often than once in 400: the odds p_0/p_1 have the mean 1 under p_1
 (Markov's inequality)."""
-ALONE = 60.0
+ALONE = 40.0
 """-2 log of the odds that unseen runs together give for an effect, from which on one of them may be alone in it: what
 rounding leaves in one run can look like a small effect."""
 
