@@ -19,6 +19,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from station.diagnose.estimate import Fit
+from station.model.effects import Stage
 
 REFUTED = 12.0
 """-2 log of the odds that one unseen run gives against a cause from which on the runs must agree in its favour.  Of a
@@ -60,10 +61,12 @@ def refuted(without: Sequence[Fit], found: Sequence[Fit], temperature: float = 1
     """Whether unseen runs speak against a cause; ``without`` it and with it, fits that leave out run after run.
 
     What they gain together must exceed their scatter, unless it is much and no run speaks against it.  What tells of a
-    constant is the rig file as well, beyond the runs: there one run must clearly be against it.
+    constant is the rig file as well, and of the clock a second clock: there one run must clearly be against it.
     """
     gains = np.array([surprise(b, r, temperature) - surprise(a, r, temperature)
                       for r, (b, a) in enumerate(zip(without, found, strict=True))])
-    effect = len(found[0].layout.hypothesis.effects) > len(without[0].layout.hypothesis.effects)
+    before = without[0].layout.hypothesis.effects
+    effect = any(cls.stage is not Stage.CLOCK for cls, at in found[0].layout.hypothesis.effects
+                 if (cls, at) not in before)
     scattered = gains.sum() <= math.sqrt(len(gains)) * float(np.std(gains, ddof=1))
     return bool(scattered and (gains.min() < -REFUTED or effect and gains.sum() < ALONE))

@@ -8,6 +8,7 @@ from scipy.stats import multivariate_normal
 
 from station.diagnose.estimate import Fit
 from station.diagnose.unseen import left_out_chi2, refuted, surprise, unseen_gain
+from station.model.effects import Stage
 
 RUNS, ROWS = 4, 30
 
@@ -53,14 +54,14 @@ def test_a_column_that_is_needed_helps_on_unseen_runs_and_noise_does_not():
 SIZE, HOW_WELL_SEEN = 8, np.ones(30) / np.sqrt(30.0)
 
 
-def without_each(sizes: list[float], free: bool) -> list[Fit]:
-    """Fits without each run of y = b u + noise, with the ``sizes`` b of the runs; b is free or 0."""
+def without_each(sizes: list[float], free: bool, stage: Stage = Stage.TORQUE) -> list[Fit]:
+    """Fits without each run of y = b u + noise, with the ``sizes`` b of the runs; b, of one effect, is free or 0."""
     rng = np.random.default_rng(0)
     runs = [b * HOW_WELL_SEEN + rng.normal(size=ROWS) for b in sizes]
     count, precision = int(free), 1.0 / SIZE**2
     designs = [HOW_WELL_SEEN[:, None][:, :count] for _ in runs]
     layout = SimpleNamespace(prior_precision=np.full(count, precision), prior_mean=np.zeros(count),
-                             hypothesis=SimpleNamespace(effects=("one",) * count))
+                             hypothesis=SimpleNamespace(effects=((SimpleNamespace(stage=stage), "there"),) * count))
     found = []
     for r in range(len(runs)):
         rest = [s for s in range(len(runs)) if s != r]
@@ -107,3 +108,10 @@ def test_an_effect_that_one_run_alone_shows_must_show_much(size, others, falls):
         fit.costs[:3] = without[0].costs[:3] + others
     assert surprise(without[3], 3) - surprise(found[3], 3) > 30.0
     assert refuted(without, found) is falls
+
+
+def test_a_clock_that_a_second_clock_speaks_of_need_not_show_in_the_runs():
+    """An effect of which nothing else speaks falls."""
+    nothing = [0.0, 0.0, 0.0, 0.0]
+    for stage, falls in ((Stage.CLOCK, False), (Stage.TORQUE, True)):
+        assert refuted(without_each(nothing, False), without_each(nothing, True, stage)) is falls
