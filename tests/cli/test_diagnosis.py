@@ -8,6 +8,7 @@ import json
 import numpy as np
 import pytest
 
+from station.campaign import hidden
 from station.campaign.hidden import CLEAR, LEFT_OUT, _outputs, draw, severity
 from station.campaign.simulated import planned
 from station.cli.demo import APART, MARK, TESTS, told
@@ -79,10 +80,10 @@ def test_the_demo_keeps_a_folder_that_it_did_not_make(station, tmp_path):
 @pytest.mark.parametrize("seed", [1])
 def test_what_is_hidden_can_be_repeated_and_shows(seed):
     tests = planned(SFLR)
-    hidden = draw(SFLR, tests, 0.5, np.random.default_rng(seed))
-    assert hidden == draw(SFLR, tests, 0.5, np.random.default_rng(seed))
-    assert len(hidden.effects) == 1 and hidden.effects[0].name in set(catalogue()) - LEFT_OUT
-    deviation = np.log([hidden.constants()[path] / value for path, value in SFLR.constants().items()])
+    drawn = draw(SFLR, tests, 0.5, np.random.default_rng(seed))
+    assert drawn == draw(SFLR, tests, 0.5, np.random.default_rng(seed))
+    assert len(drawn.effects) == 1 and drawn.effects[0].name in set(catalogue()) - LEFT_OUT
+    deviation = np.log([drawn.constants()[path] / value for path, value in SFLR.constants().items()])
     whitened = np.linalg.solve(np.linalg.cholesky(SFLR.log_covariance(list(SFLR.constants()))), deviation)
     assert np.sqrt(np.mean(whitened**2)) < 2.0 and np.any(deviation != 0.0)
 
@@ -96,6 +97,20 @@ def test_severity_tells_an_effect_from_other_constants():
     assert moved < 50.0, "the fit finds the constants from elsewhere, too"
     loose = SFLR.with_effects([effect_class("backlash")(at="drive", gap=0.05)])
     assert severity(SFLR, loose, _outputs(loose, tests), tests, 0.5) > CLEAR
+
+
+def test_a_refit_that_steps_to_constants_that_do_not_simulate_takes_a_shorter_step(monkeypatch):
+    biased = SFLR.with_effects([effect_class("command_bias")(at="amplifier", offset=18.0)])
+    tests = planned(SFLR)[:3]
+    outputs, refused, real = _outputs(biased, tests), [], hidden.build
+
+    def build(rig):
+        if abs(rig.constants()["motor.damping"] / SFLR.constants()["motor.damping"] - 1.0) > 0.01:
+            refused.append(rig)
+            raise ArithmeticError("does not simulate")
+        return real(rig)
+    monkeypatch.setattr(hidden, "build", build)
+    assert CLEAR < severity(SFLR, biased, outputs, tests, 0.5) < np.inf and refused
 
 
 def test_a_seal_that_was_broken_is_noticed(tmp_path):
