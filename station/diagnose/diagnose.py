@@ -107,7 +107,7 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
 def _odds_upheld(search: Search, how: dict[str, Any]) -> tuple[Odds, Fit, LeftOut]:
     """Odds of the sets of causes that runs left out do not refute, with the best set, and the fits that left runs out.
 
-    The best set is held against each set with one cause less; where a run speaks against it the next best is.
+    The best set is held against each set with one cause less; where runs speak against it the next best is.
     """
     problem, temperature, left_out = search.problem, search.temperature(), {}
 
@@ -144,8 +144,10 @@ def _odds_unseen(search: Search, how: dict[str, Any]) -> tuple[Odds, Fit, LeftOu
     found = normalised(scores)
     keys = found.sets[0][0]
     best = refined(problem, search.fits[keys])
-    return found, best, {frozenset(): leave_each_out(problem, search.fits[frozenset()], **how),
-                         keys: leave_each_out(problem, best, **how)}
+    left_out = {keys: leave_each_out(problem, best, **how)}
+    if keys:
+        left_out[frozenset()] = leave_each_out(problem, search.fits[frozenset()], **how)
+    return found, best, left_out
 
 
 def _in_order(search: Search, best: frozenset, found: Odds) -> list[tuple[str, str]]:

@@ -31,8 +31,9 @@ LOG_PRIOR_PARAMETER = -2.5
 earn its parameters."""
 
 STRAINED = 60.0
-"""What the constants' distances from nominal may cost, of some 15 that are right 15 on average; beyond it a search went
-astray.  Where a second cause is missing, or one that the catalogue lacks, they cost less (50 at most in ten cases)."""
+"""What the constants' distances from nominal may cost, of some 15 that are right 15 on average; beyond it a search may
+have gone astray.  Where a second effect is missing they cost less (8 to 47 in six pairs); a constant that is missing,
+or an effect that the catalogue lacks, may strain them as much (16 to 383 in four rigs)."""
 HORIZONS = (0.1, 0.3, 1.0)
 """Seconds from where the command first moves, over which a fit that went astray is begun anew, one after the other."""
 FAR = (-2.0, 1.5, 3.0)
@@ -220,17 +221,19 @@ def begun_anew(search: Search, pool: list[Candidate]) -> None:
     except LOST:                 # went where nothing simulates
         return
 
-    def freed(candidate: Candidate, held: Fit) -> Fit | None:
+    def freed(start: tuple[Fit, Candidate]) -> Fit | None:
+        found, candidate = start
         with suppress(*LOST):
             layout = problem.layout(candidate.hypothesis, {})
-            return fit(early, layout, _carried(held, layout, []), held.start, held.offset, tolerance=2.0,
+            return fit(early, layout, _carried(found, layout, []), found.start, found.offset, tolerance=2.0,
                        parallel=False, iterations=6)
         return None
 
     def held(task: tuple[Candidate, float]) -> Fit | None:
         """The others fitted while one constant is held far off; given up where they do not make up for it at all."""
+        candidate, far = task
         shift = np.zeros(len(base.paths))
-        shift[base.paths.index(task[0].hypothesis.constants[0])] = task[1]
+        shift[base.paths.index(candidate.hypothesis.constants[0])] = far
         mean = base.prior_mean.copy()
         mean[: len(shift)] += np.linalg.solve(base.root, shift)
         with suppress(*LOST):
@@ -265,7 +268,7 @@ def begun_anew(search: Search, pool: list[Candidate]) -> None:
     starts = sorted(((f, c) for f, (c, _) in zip(problem.pool.map(held, tasks), tasks, strict=True) if f is not None),
                     key=lambda row: row[0].objective)[: 2 * PROMISED]
     starts += [(nothing, c) for c in constants]
-    fitted += problem.pool.map(lambda row: freed(row[1], row[0]), starts)
+    fitted += problem.pool.map(freed, starts)
     for on, most in ((longer, 2 * PROMISED), (problem, PROMISED)):
         likeliest: dict[frozenset[tuple[str, str]], Fit] = {}
         ranked = sorted((f for f in fitted if f is not None), key=lambda f: f.objective)
