@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from station.model.compiled import call_law, element, njit
+from station.model.compiled import call_law, element, kernel, njit
 
 COMMAND, TORQUE, FRICTION, GAP, SPRING, ACCEL_INPUT, ACCEL_FILTER, ACCEL_COUNTS, ENCODER = range(9)
 STAGES = 9
@@ -117,7 +117,7 @@ class Controller(NamedTuple):
     accel_zero: float
 
 
-@njit(cache=True, nogil=True, fastmath={"contract"})
+@kernel(fastmath={"contract"})
 def _propagate(phi, held, z, count):
     """z -> Phi z + held count, in place."""
     b = phi.shape[1]
@@ -127,7 +127,7 @@ def _propagate(phi, held, z, count):
         z[b + i] = phi[2, i] * one + phi[3, i] * two + held[b + i] * count
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+@kernel(fastmath={"contract", "reassoc"})
 def _dot(row, z):
     total = 0.0
     for i in range(z.size):
@@ -135,7 +135,7 @@ def _dot(row, z):
     return total
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+@kernel(fastmath={"contract", "reassoc"})
 def _dot2(one, two, z):
     first, second = 0.0, 0.0
     for i in range(z.size):
@@ -144,7 +144,7 @@ def _dot2(one, two, z):
     return first, second
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@kernel(forceinline=True)
 def _chain(plan, state, command, h):
     for slot in range(plan.first[COMMAND], plan.first[COMMAND + 1]):
         command = call_law(plan.slots[slot, 1], command, 0.0, plan.limit,
@@ -152,7 +152,7 @@ def _chain(plan, state, command, h):
     return command
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@kernel(forceinline=True)
 def _port_sum(laws, stage, port, x, v, w):
     slots, first, arguments, effects, h = laws
     total = 0.0
@@ -163,7 +163,7 @@ def _port_sum(laws, stage, port, x, v, w):
     return total
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@kernel(forceinline=True)
 def _beyond_gap(laws, port, deflection):
     slots, first, arguments, effects, h = laws
     for slot in range(first[GAP], first[GAP + 1]):
@@ -173,7 +173,7 @@ def _beyond_gap(laws, port, deflection):
     return deflection
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@kernel(forceinline=True)
 def _joint_torque(laws, port, stiffness, damping, deflection, speed):
     """Torque of a joint with all its effects (pulling its two sides together), N m."""
     first = laws[1]
@@ -185,7 +185,7 @@ def _joint_torque(laws, port, stiffness, damping, deflection, speed):
     return torque
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@kernel(forceinline=True)
 def _mean_joint_torque(laws, port, stiffness, damping, old_angle, angle, old_speed, speed):
     """Joint torque over a step, N m: at its middle, or, where contact is made or lost, its mean over CROSSINGS points.
 
@@ -206,7 +206,7 @@ def _mean_joint_torque(laws, port, stiffness, damping, old_angle, angle, old_spe
     return total / points
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@kernel(forceinline=True)
 def _solve_ports(laws, joints, gains, load_port, torque, zero, work):
     """Port torques over this step, written to ``torque``; ``work`` holds the ports' free and old angles and speeds."""
     kinds, stiffness, damping = joints
@@ -249,7 +249,7 @@ def _solve_ports(laws, joints, gains, load_port, torque, zero, work):
             break
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@kernel(forceinline=True)
 def _observe(plan, state, fresh):
     """Note base angle and filtered tip acceleration at the present instant in the rings."""
     angle, accel = _dot2(plan.base_angle, plan.tip_acceleration, state.z)
@@ -276,7 +276,7 @@ def _observe(plan, state, fresh):
     state.accels[place] = accel
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@kernel(forceinline=True)
 def _late(ring, place, delay):
     if delay == 0.0:
         return ring[place]
@@ -287,7 +287,7 @@ def _late(ring, place, delay):
     return ring[i] + part * (ring[j] - ring[i])
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@kernel(forceinline=True)
 def sense(plan, state, offset, rounding):
     """Encoder and accelerometer at this tick, counts."""
     angle = _late(state.angles, state.clock[2], plan.encoder_delay)
@@ -305,7 +305,7 @@ def sense(plan, state, offset, rounding):
     return encoder, accel
 
 
-@njit(cache=True, nogil=True, forceinline=True)
+@kernel(forceinline=True)
 def _advance(plan, state, command, work):
     """Hold a command over one period, with ports, delays and filters."""
     place = state.clock[1] + 1
@@ -352,7 +352,7 @@ def _advance(plan, state, command, work):
     state.clock[0] += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def begin(plan, state):
     """First look at the sensors: fills the rings so that readings before t = delay are the starting one."""
     _observe(plan, state, True)
@@ -362,27 +362,23 @@ def begin(plan, state):
         state.accels[i] = state.accels[place]
 
 
-@njit(cache=True, nogil=True)
+@kernel()
 def tick(plan, state, command, offset, rounding, work, out):
     """Hold a command to the next tick and read the sensors there: out = encoder, accel (counts)."""
     _advance(plan, state, command, work)
     out[0], out[1] = sense(plan, state, offset, rounding)
 
 
-@njit(cache=True, nogil=True)
-def run_ticks(plan, state, controller, reference, command, closed, command_row, offset, rounding, round_command,
-              encoder, accel, history):
-    """One whole test; writes command (where closed), encoder, accel (n) and, where asked, history (n, 2b).
-
-    ``rounding``: NONE, ALL, or INSIDE: the compensator sees whole counts, the columns stay what was rounded.
-    """
+@kernel()
+def ticks(plan, state, controller, reference, command, closed, command_row, offset, rounding, round_command,
+          encoder, accel, history, seen, work, past, past_accel):
+    """As ``run_ticks``, with room to work in."""
     rows = reference.size
-    seen_encoder, seen_accel = np.zeros(rows), np.zeros(rows)
-    work = np.zeros((4, max(plan.port_joint.size, 1)))
     num, den = controller.numerator, controller.denominator
     anum, aden = controller.accel_numerator, controller.accel_denominator
-    e, v = np.zeros(num.size), np.zeros(num.size)
-    g, w = np.zeros(max(aden.size, 1)), np.zeros(max(aden.size, 1))
+    seen_encoder, seen_accel = seen
+    e, v = past
+    g, w = past_accel
     plain = (plan.substeps == 1 and plan.port_joint.size == 0 and plan.slots.shape[0] == 0 and plan.switch < 0
              and plan.whole_delay == 0 and plan.encoder_delay == 0.0 and plan.accel_delay == 0.0)
     z = state.z
@@ -399,7 +395,8 @@ def run_ticks(plan, state, controller, reference, command, closed, command_row, 
         else:
             seen_encoder[row], seen_accel[row] = math.floor(encoder[row] + 0.5), math.floor(accel[row] + 0.5)
         if history.shape[0] > 0:
-            history[row] = z
+            for i in range(z.size):
+                history[row, i] = z[i]
         if closed:
             out = 0.0
             source = row + command_row
@@ -431,5 +428,17 @@ def run_ticks(plan, state, controller, reference, command, closed, command_row, 
         else:
             _advance(plan, state, command[row], work)
     if rounding == ALL:
-        encoder[:] = seen_encoder
-        accel[:] = seen_accel
+        for row in range(rows):
+            encoder[row], accel[row] = seen_encoder[row], seen_accel[row]
+
+
+def run_ticks(plan, state, controller, reference, command, closed, command_row, offset, rounding, round_command,
+              encoder, accel, history):
+    """One whole test; writes command (where closed), encoder, accel (n) and, where asked, history (n, 2b).
+
+    ``rounding``: NONE, ALL, or INSIDE: the compensator sees whole counts, the columns stay what was rounded.
+    """
+    rows, order, accel_order = reference.size, controller.numerator.size, max(controller.accel_denominator.size, 1)
+    ticks(plan, state, controller, reference, command, closed, command_row, offset, rounding, round_command,
+          encoder, accel, history, (np.zeros(rows), np.zeros(rows)), np.zeros((4, max(plan.port_joint.size, 1))),
+          (np.zeros(order), np.zeros(order)), (np.zeros(accel_order), np.zeros(accel_order)))

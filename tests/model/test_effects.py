@@ -370,7 +370,7 @@ def test_friction_and_drag_only_take_energy(rig, name, at):
 def test_a_users_own_effect_joins_without_recompiling_the_stepper(rig):
     """A law defined here, viscous drag, is the same as more motor damping, and run_ticks stays as compiled."""
     simulate(rig.with_effects([friction("coulomb_friction", "motor")]), as_run(TESTS[0]))
-    before = (list(stepper.run_ticks.signatures), dict(stepper.run_ticks.stats.cache_misses))
+    before = (list(stepper.ticks.signatures), dict(stepper.ticks.stats.cache_misses))
 
     def torque(x, v, w, p, s, h):
         return -p[0] * v
@@ -397,5 +397,5 @@ def test_a_users_own_effect_joins_without_recompiling_the_stepper(rig):
         ViscousOfMyOwn.name = ""  # leaves the catalogue
     np.testing.assert_allclose(made.encoder, same.encoder, atol=0.02)
     assert np.abs(none.encoder - same.encoder).max() > 1.0
-    after = (list(stepper.run_ticks.signatures), dict(stepper.run_ticks.stats.cache_misses))
+    after = (list(stepper.ticks.signatures), dict(stepper.ticks.stats.cache_misses))
     assert after == before

@@ -267,7 +267,7 @@ step = np.where(np.arange(300) < 50, 0.0, 120.0)
 run = Run("step", np.arange(300) / 500.0, step, step, 0.0 * step, 0.0 * step, RunMetadata())
 dead = effect_class("dead_zone")(at="amplifier", width=5.0)
 made = simulate(load_rig("sflr").with_effects([dead]), run, start_angle=0.0)
-stats = stepper.run_ticks.stats
+stats = stepper.ticks.stats
 print(json.dumps({"package": str(Path(station.__file__).parent), "encoder": made.encoder.tolist(),
                   "hits": sum(stats.cache_hits.values()), "misses": sum(stats.cache_misses.values())}))
 """
