@@ -41,6 +41,8 @@ LEADING = 6
 """Sets of causes that are judged on runs left out where held-out errors decide."""
 BRIEF: dict[str, Any] = {"iterations": 4, "renewals": 0}
 """Held-out fits where sets of causes are compared, and those of a quick diagnosis: first steps go most of the way."""
+LIKELY = 0.01
+"""Probability of a cause from which on what it buys on unseen runs is worked out for the table, wherever it stands."""
 FEW = 3
 """Runs below which even a settled verdict asks for another test."""
 LeftOut = dict[frozenset, list[Fit]]
@@ -96,10 +98,11 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     decided = verdict in ("explained", "nothing_missing") and given >= FEW
     diagnosis = Diagnosis(verdict=verdict, wrong=_wrong(runs, before, problem.noise), causes=causes, gain=bought,
                           next_experiment=with_word(None if decided else choice.next, verdict, told, best_keys, known))
+    ranking = _ranking(search, ranked, left_out)
     pictures = evidence(refit_rig, extended, runs[:1] if windows else runs, [(c.effect, c.at) for c in causes])
     report("done", 1.0)
-    return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, _ranking(search, ranked), pictures,
-                           constants, _notes(rig, search, left), time.perf_counter() - begun,
+    return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, ranking, pictures, constants,
+                           _notes(rig, search, left), time.perf_counter() - begun,
                            choice.plan, choice.unseen, choice.prediction,
                            [row.equivalence.sentence for row in known] if causes else [])
 
@@ -137,14 +140,15 @@ def _odds_unseen(search: Search, how: dict[str, Any]) -> tuple[Odds, Fit, LeftOu
     problem = search.problem
     leading = [keys for keys, _ in odds(search).sets[:LEADING]]
     tried = [*leading, *([] if frozenset() in leading else [frozenset()])]
-    scores = {}
+    left_out, scores = {}, {}
     for keys in tried:
-        simulations = simulate_unseen(problem, leave_each_out(problem, search.fits[keys], **BRIEF))
-        scores[keys] = -FEATURES * np.log(mean_error(problem, simulations)) + np.log(WORTH) * len(keys)
+        left_out[keys] = leave_each_out(problem, search.fits[keys], **BRIEF)
+        error = mean_error(problem, simulate_unseen(problem, left_out[keys]))
+        scores[keys] = -FEATURES * np.log(error) + np.log(WORTH) * len(keys)
     found = normalised(scores)
     keys = found.sets[0][0]
     best = refined(problem, search.fits[keys])
-    left_out = {keys: leave_each_out(problem, best, **how)}
+    left_out[keys] = leave_each_out(problem, best, **how)
     if keys:
         left_out[frozenset()] = leave_each_out(problem, search.fits[frozenset()], **how)
     return found, best, left_out
@@ -228,26 +232,26 @@ def _wrong(runs: Sequence[Run], before: Sequence[Simulation], noise: Sequence[fl
     return [wrong for _, wrong in sorted(found, key=lambda row: -row[0])]
 
 
-def _ranking(search: Search, found: Odds) -> list[RankedCause]:
-    """Every cause that was fitted, by probability, then by how much it bought alone."""
-    nothing = search.fits[frozenset()]
-    temperature = search.temperature()
-    rows: dict[tuple[str, str], RankedCause] = {}
-    for keys, fitted in search.fits.items():
-        if len(keys) == 1:
-            key = next(iter(keys))
-            values, _ = estimates(search, fitted)
-            rows[key] = RankedCause(key[0], key[1], found.causes.get(key, 0.0),
-                                    (nothing.chi2 - fitted.chi2) / temperature,
-                                    unseen_gain(nothing, fitted, temperature), values.get(key, {}))
-    for key, probability in found.causes.items():
-        if key not in rows:
-            smallest = min((f for k, f in search.fits.items() if key in k), key=lambda f: f.objective)
-            values, _ = estimates(search, smallest)
-            rows[key] = RankedCause(key[0], key[1], probability, (nothing.chi2 - smallest.chi2) / temperature,
-                                    unseen_gain(nothing, smallest, temperature), values.get(key, {}),
-                                    note=f"as part of {smallest.layout.hypothesis.label}")
-    return sorted(rows.values(), key=lambda r: (-r.probability, -r.delta_chi2))
+def _ranking(search: Search, found: Odds, left_out: LeftOut) -> list[RankedCause]:
+    """Every cause that was fitted, by probability, then by how much it bought alone.
+
+    Its gain on unseen runs is told where fits have left them out: of the best set, of what it was held against, and
+    here of what is likely.
+    """
+    nothing, temperature = search.fits[frozenset()], search.temperature()
+    rows = []
+    for key in dict.fromkeys([*(key for keys in search.fits if len(keys) == 1 for key in keys), *found.causes]):
+        probability, alone = found.causes.get(key, 0.0), frozenset({key})
+        keys = alone if alone in search.fits else min((k for k in search.fits if key in k),
+                                                      key=lambda k: search.fits[k].objective)
+        fitted = search.fits[keys]
+        if keys not in left_out and probability > LIKELY:
+            left_out[keys] = leave_each_out(search.problem, fitted, **BRIEF)
+        gained = unseen_gain(left_out[frozenset()], left_out[keys]) if keys in left_out else None
+        rows.append(RankedCause(key[0], key[1], probability, (nothing.chi2 - fitted.chi2) / temperature, gained,
+                                estimates(search, fitted)[0].get(key, {}),
+                                note="" if keys == alone else f"as part of {fitted.layout.hypothesis.label}"))
+    return sorted(rows, key=lambda r: (-r.probability, -r.delta_chi2))
 
 
 def _notes(rig: Rig, search: Search, left: Remainder) -> list[str]:

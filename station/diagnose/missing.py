@@ -349,17 +349,19 @@ def _known(rig: Rig, parts: Assembly, form: ModalForm, laws: list[Effect], motio
     return torques, forcing, seen
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
 def _times(a, x):
     """Matrix times vector."""
     out = np.zeros(a.shape[0])
     for i in range(a.shape[0]):
+        total = 0.0
         for j in range(a.shape[1]):
-            out[i] += a[i, j] * x[j]
+            total += a[i, j] * x[j]
+        out[i] = total
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
 def _sandwich(a, b):
     """a b a', for symmetric b."""
     half, out = np.zeros(a.shape), np.zeros(a.shape)
@@ -369,9 +371,10 @@ def _sandwich(a, b):
                 half[i, j] += a[i, k] * b[k, j]
     for i in range(a.shape[0]):
         for j in range(i + 1):
+            total = 0.0
             for k in range(a.shape[0]):
-                out[i, j] += half[i, k] * a[j, k]
-            out[j, i] = out[i, j]
+                total += half[i, k] * a[j, k]
+            out[i, j] = out[j, i] = total
     return out
 
 

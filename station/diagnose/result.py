@@ -118,7 +118,7 @@ class RankedCause:
     probability: float
     delta_chi2: float
     held_out_gain: float | None
-    """Share of the re-fitted rig's error on unseen runs that it takes away, to first order."""
+    """Share of the re-fitted rig's error on unseen runs that it takes away, by fits that left them out."""
     parameters: dict[str, Estimate]
     note: str = ""
 

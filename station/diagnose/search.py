@@ -435,7 +435,7 @@ def _starts_allowed(candidate: Candidate) -> int:
     """Guesses from which a quick fit begins: more where chi^2 has many valleys (angles, gaps)."""
     if candidate.effect is None:
         return 1
-    return 3 if candidate.effect.stage is Stage.GAP else 1 + (len(candidate.guesses) > 4)
+    return 3 if candidate.effect.stage is Stage.GAP else min(1 + len(candidate.guesses) // 5, 4)
 
 
 def climb(search: Search, parent: Fit, pool: list[Candidate], share: tuple[float, float], least: float) -> Fit:

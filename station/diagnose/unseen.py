@@ -1,11 +1,6 @@
 """What a fitted set of causes says of runs left out.
 
-To first order, for tables of many sets, where refits take long: leaving run r out moves the fit by d_r =
-(sum_{s != r} A_s/T + P)^-1 (sum_{s != r} g_s/T - P (x - m)), with A_s and g_s the run's normal matrix and gradient,
-its nuisances eliminated, T the scale of the noise, P and m the prior.  The run's chi^2 there is
-c_r - 2 g_r d_r + d_r A_r d_r, its own nuisances fitted (Belsley, Kuh and Welsch 1980, ch. 2).
-
-By fits that do leave a run out, where causes are held against their absence: the density of the run, its uncertain
+Causes are held against their absence by fits that leave run after run out: by the density of that run, its uncertain
 values integrated out.  With L = sum_{s != r} A_s/T + P, -2 log p_r = c_r/T - g_r' (A_r/T + L)^-1 g_r/T^2 +
 log det(1 + L^-1 A_r/T) up to a constant (Bishop 2006, eq. 3.57, linearised).  A cause that one run alone shows is no
 worse for what the others leave open; one that they are sure of, and are wrong about, is.
@@ -30,22 +25,14 @@ ALONE = 40.0
 rounding leaves in one run can look like a small effect."""
 
 
-def left_out_chi2(found: Fit, temperature: float = 1.0) -> float:
-    """Sum over runs of the chi^2 of each by a fit that left it out."""
-    layout = found.layout
-    pull = layout.prior_precision * (found.x - layout.prior_mean)
-    total = 0.0
-    for r, (own, slope) in enumerate(zip(found.normal, found.gradient, strict=True)):
-        matrix = (found.normal.sum(axis=0) - own) / temperature + np.diag(layout.prior_precision)
-        moved = np.linalg.solve(matrix, (found.gradient.sum(axis=0) - slope) / temperature - pull)
-        total += float(found.costs[r].sum() + found.penalty[r] - 2.0 * slope @ moved + moved @ own @ moved)
-    return total
+def unseen_gain(without: Sequence[Fit], found: Sequence[Fit]) -> float:
+    """By how much causes lower the error of unseen runs; a share of the error without them.
 
-
-def unseen_gain(nothing: Fit, found: Fit, temperature: float = 1.0) -> float:
-    """By how much a set of causes lowers the error of unseen runs, against the re-fitted rig; a share of that error."""
-    before = left_out_chi2(nothing, temperature)
-    return 1.0 - math.sqrt(max(left_out_chi2(found, temperature), 0.0) / before) if before > 0.0 else 0.0
+    Of fits that leave run after run out, the root of chi^2 of the runs left out, their own nuisances fitted.
+    """
+    before, after = (math.sqrt(sum(float(left.costs[r].sum() + left.penalty[r]) for r, left in enumerate(fits)))
+                     for fits in (without, found))
+    return 1.0 - after / before if before > 0.0 else 0.0
 
 
 def surprise(left: Fit, run: int, temperature: float = 1.0) -> float:

@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 
 from station.model.beam import beam_matrices
 from station.rig import Rig
@@ -89,11 +88,9 @@ def assemble(rig: Rig) -> Assembly:
 def state_matrix(assembly: Assembly) -> np.ndarray:
     """A (2n x 2n) of x' = A x + B u, x = [q, q']: A = [[0, I], [-M^-1 K, -M^-1 C]]."""
     n = assembly.size
-    factor = scipy.linalg.cho_factor(assembly.mass)
     a = np.zeros((2 * n, 2 * n))
     a[:n, n:] = np.eye(n)
-    a[n:, :n] = -scipy.linalg.cho_solve(factor, assembly.stiffness)
-    a[n:, n:] = -scipy.linalg.cho_solve(factor, assembly.damping)
+    a[n:] = -np.linalg.solve(assembly.mass, np.concatenate([assembly.stiffness, assembly.damping], axis=1))
     return a
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from station.model.assembly import Assembly, state_matrix
+from station.model.compiled import njit
 
 JORDAN, PAIR, REAL = 0, 1, 2
 
@@ -45,14 +46,8 @@ class ModalForm:
     def function(self, scalar: Callable[[np.ndarray], np.ndarray],
                  derivative_at_zero: float) -> np.ndarray:
         """f(block) as (4, b): [[f0, f1], [f2, f3]]; a Jordan block at 0 needs f'(0)."""
-        first, second = scalar(self.eigenvalues[:, 0]), scalar(self.eigenvalues[:, 1])
-        out = np.zeros((4, self.blocks))
-        pair, real, jordan = self.kind == PAIR, self.kind == REAL, self.kind == JORDAN
-        out[:, pair] = np.stack([first.real, first.imag, -first.imag, first.real])[:, pair]
-        out[0, real], out[3, real] = first.real[real], second.real[real]
-        out[0, jordan] = out[3, jordan] = first.real[jordan]
-        out[1, jordan] = derivative_at_zero
-        return out
+        first, second = scalar(self.eigenvalues.T)
+        return _blocks(self.kind, first, second, derivative_at_zero)
 
     def exponential(self, h: float) -> np.ndarray:
         """e^(A h), (4, b)."""
@@ -70,8 +65,23 @@ class ModalForm:
 def apply(blocks: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Blocks (4, b) times a vector (2b) or the columns of a matrix (2b, m)."""
     a, b, c, d = blocks[..., None] if vector.ndim == 2 else blocks
-    one, two = np.split(vector, 2)
+    half = len(vector) // 2
+    one, two = vector[:half], vector[half:]
     return np.concatenate([a * one + b * two, c * one + d * two])
+
+
+@njit(cache=True)
+def _blocks(kind, first, second, derivative):
+    out = np.zeros((4, kind.size))
+    for i in range(kind.size):
+        out[0, i], out[3, i] = first[i].real, first[i].real
+        if kind[i] == PAIR:
+            out[1, i], out[2, i] = first[i].imag, -first[i].imag
+        elif kind[i] == REAL:
+            out[3, i] = second[i].real
+        else:
+            out[1, i] = derivative
+    return out
 
 
 def modal_form(assembly: Assembly) -> ModalForm:

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from station.model.compiled import call_law, element, kernel, njit
+from station.model.compiled import call_law, element, kernel
 
 COMMAND, TORQUE, FRICTION, GAP, SPRING, ACCEL_INPUT, ACCEL_FILTER, ACCEL_COUNTS, ENCODER = range(9)
 STAGES = 9

@@ -7,50 +7,10 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from station.diagnose.estimate import Fit
-from station.diagnose.unseen import left_out_chi2, refuted, surprise, unseen_gain
+from station.diagnose.unseen import refuted, surprise, unseen_gain
 from station.model.effects import Stage
 
-RUNS, ROWS = 4, 30
-
-
-def linear(size: int, temperature: float = 1.0, seed: int = 3):
-    """Runs of y = X b + noise with b of the first column, and their fit of ``size`` columns under a prior."""
-    rng = np.random.default_rng(seed)
-    designs = [rng.normal(size=(ROWS, 3))[:, :size] for _ in range(RUNS)]
-    rng = np.random.default_rng(seed + 1)
-    runs = [2.0 * np.random.default_rng(seed).normal(size=(RUNS, ROWS, 3))[r, :, 0] + rng.normal(size=ROWS)
-            for r in range(RUNS)]
-    prior = np.full(size, 0.5)
-
-    def solve(keep: list[int]) -> np.ndarray:
-        matrix = sum((designs[r].T @ designs[r] for r in keep), np.zeros((size, size))) / temperature + np.diag(prior)
-        return np.linalg.solve(matrix, sum((designs[r].T @ runs[r] for r in keep), np.zeros(size)) / temperature)
-    x = solve(list(range(RUNS)))
-    errors = [y - d @ x for y, d in zip(runs, designs, strict=True)]
-    layout = SimpleNamespace(prior_precision=prior, prior_mean=np.zeros(size))
-    found = Fit(layout, x, np.zeros(RUNS), np.zeros(RUNS), 0.0, np.array([[e @ e] for e in errors]), np.zeros(RUNS),
-                np.array([d.T @ d for d in designs]), np.array([d.T @ e for d, e in zip(designs, errors, strict=True)]),
-                [], [], [], [])
-    left = 0.0
-    for r in range(RUNS):
-        error = runs[r] - designs[r] @ solve([s for s in range(RUNS) if s != r])
-        left += float(error @ error)
-    return found, left
-
-
-@pytest.mark.parametrize("size, temperature", [(1, 1.0), (3, 1.0), (2, 7.0)])
-def test_it_is_what_refits_without_each_run_give(size, temperature):
-    found, left = linear(size, temperature)
-    assert left_out_chi2(found, temperature) == pytest.approx(left, rel=1e-9)
-    assert left_out_chi2(found, temperature) > float(found.costs.sum())
-
-
-def test_a_column_that_is_needed_helps_on_unseen_runs_and_noise_does_not():
-    nothing, one, three = (linear(size)[0] for size in (0, 1, 3))
-    assert unseen_gain(nothing, one) > 0.3
-    assert unseen_gain(one, three) < 0.0 < one.costs.sum() - three.costs.sum()
-
-
+ROWS = 30
 SIZE, HOW_WELL_SEEN = 8, np.ones(30) / np.sqrt(30.0)
 
 
@@ -71,6 +31,21 @@ def without_each(sizes: list[float], free: bool, stage: Stage = Stage.TORQUE) ->
                          np.zeros(len(runs)), np.array([d.T @ d for d in designs]),
                          np.array([d.T @ e for d, e in zip(designs, errors, strict=True)]), [], [], [], []))
     return found
+
+
+@pytest.mark.parametrize("size", [0.0, 20.0])
+def test_a_gain_is_of_errors_on_runs_that_the_fits_have_not_seen(size):
+    sizes = [size] * 5
+    rng = np.random.default_rng(0)
+    seen = np.array([HOW_WELL_SEEN @ (b * HOW_WELL_SEEN + rng.normal(size=ROWS)) for b in sizes])
+    rng = np.random.default_rng(0)
+    noise = np.array([rng.normal(size=ROWS) for _ in sizes])
+    rest = np.sum((noise - np.outer(noise @ HOW_WELL_SEEN, HOW_WELL_SEEN)) ** 2)
+    others = (seen.sum() - seen) / (len(seen) - 1 + 1.0 / SIZE**2)
+    expected = 1.0 - np.sqrt((rest + np.sum((seen - others) ** 2)) / (rest + np.sum(seen**2)))
+    gain = unseen_gain(without_each(sizes, False), without_each(sizes, True))
+    assert gain == pytest.approx(expected, rel=1e-9)
+    assert gain < 0.0 if size == 0.0 else gain > 0.5
 
 
 def test_a_runs_surprise_is_minus_twice_its_log_density_with_the_values_integrated_out():

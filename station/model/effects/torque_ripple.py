@@ -31,4 +31,4 @@ class TorqueRipple(Effect):
     def guesses(cls, rig, at):
         return [{"amplitude": 0.05 * torque_scale(rig), "cycles": cycles, "phase": phase}
                 for cycles in (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 14.0, 16.0, 20.0, 24.0, 30.0, 36.0)
-                for phase in (0.0, 0.5 * math.pi)]
+                for phase in (0.0, 0.5 * math.pi, math.pi, -0.5 * math.pi)]
