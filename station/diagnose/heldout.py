@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -46,12 +47,17 @@ def leave_each_out(problem: Problem, found: Fit, **how: Any) -> list[Fit]:
     """For every run a fit that leaves that run out; ``how`` as in ``fit``, by default to the end.
 
     Begun from the fit of all runs, since the way from the prior ends in side valleys; what the left-out run alone had
-    said is lost on the way to the end, for there the prior alone speaks.
+    said is lost on the way to the end, for there the prior alone speaks.  Where in a gap the motor stood at its start
+    is its own, as its starting angle is, and is kept.
     """
     def without(r: int) -> Fit:
-        weights = np.ones(len(problem.runs))
+        weights, layout = np.ones(len(problem.runs)), found.layout
         weights[r] = 0.0
-        return fit(problem, found.layout, found.x, found.start, found.offset, weights=weights,
+        if layout.gap_places:
+            mean, place = layout.prior_mean.copy(), layout.size - layout.gap_places + r
+            mean[place] = found.x[place]
+            layout = replace(layout, prior_mean=mean)
+        return fit(problem, layout, found.x, found.start, found.offset, weights=weights,
                    jacobian=found.jacobian_at(problem.scale), parallel=False, **how)
     return list(problem.pool.map(without, range(len(problem.runs))))
 
