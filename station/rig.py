@@ -213,6 +213,12 @@ class Rig(_Table):
         """A copy with other effects."""
         return self._copy({"effects": tuple(effects)})
 
+    def with_elements(self, least: int) -> Rig:
+        """A copy whose beam, if there is one, has at least so many elements: a mesh of few has errors of its own."""
+        if self.beam is None or self.beam.elements >= least:
+            return self
+        return self._copy({"beam": self.beam.model_copy(update={"elements": least})})
+
     def _copy(self, update: dict[str, Any]) -> Rig:
         copy = self.model_copy(update=update)
         copy.__dict__.pop("angle_per_count", None)

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from station.errors import WorkError
+from station.model.beam import REAL_ELEMENTS
 from station.model.effects import Effect, catalogue
 from station.model.simulate import build, simulate_model
 from station.rig import Rig
@@ -22,8 +23,6 @@ SIZES = (0.7, 1.4)
 LEFT_OUT = frozenset({"clock_scale"})
 """By the angle and the acceleration alone this one is the same as other constants (a known equivalence)."""
 FIT_STEPS = 8
-ELEMENTS = 16
-"""Of the hidden rig's beam, at least: the error of a coarser mesh would be one more thing that is hidden."""
 DRAWS = 200
 """Rigs that are drawn before it is said that nothing shows."""
 
@@ -54,15 +53,9 @@ def draw(nominal: Rig, tests: list[Run], noise: float, rng: np.random.Generator,
         found = clean.with_effects([*clean.effects, *(effect for effect in effects if effect is not None)])
         if all(_shows(nominal, clean, rig, tests, noise) for rig in alone) and (
                 len(effects) < 2 or _moves(_outputs(clean, tests), _outputs(found, tests))):
-            return _fine(found)
+            return found.with_elements(REAL_ELEMENTS)
     names = " and ".join(f"{name} at the {at}" for name, at in hidden) if hidden else "effect"
     raise WorkError(f"{nominal.name}: in {DRAWS} draws no {names} showed in the tests")
-
-
-def _fine(rig: Rig) -> Rig:
-    if rig.beam is None or rig.beam.elements >= ELEMENTS:
-        return rig
-    return rig.model_copy(update={"beam": rig.beam.model_copy(update={"elements": ELEMENTS})})
 
 
 def _draw_constants(nominal: Rig, rng: np.random.Generator) -> Rig:

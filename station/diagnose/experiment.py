@@ -445,8 +445,7 @@ def choose(search: Search, odds: Odds, verdict: Verdict) -> Choice:
 def first_test(rig: Rig) -> Choice:
     """The first test of a rig that nothing is known of but its file: the one that makes most of the catalogue visible
     and behaves wherever the stated uncertainty may put the rig."""
-    if rig.beam is not None and rig.beam.elements < ELEMENTS:
-        rig = rig.model_copy(update={"beam": rig.beam.model_copy(update={"elements": ELEMENTS})})
+    rig = rig.with_elements(ELEMENTS)
     paths = list(rig.constants())
     nominal = np.array([rig.constants()[path] for path in paths])
     root = np.linalg.cholesky(rig.log_covariance(paths))

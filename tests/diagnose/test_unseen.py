@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from station.diagnose import heldout
 from station.diagnose.estimate import Fit
+from station.diagnose.problem import Hypothesis, Layout
 from station.diagnose.unseen import refuted, surprise, unseen_gain
 from station.model.effects import Stage
 
@@ -90,3 +92,17 @@ def test_a_clock_that_a_second_clock_speaks_of_need_not_show_in_the_runs():
     nothing = [0.0, 0.0, 0.0, 0.0]
     for stage, falls in ((Stage.CLOCK, False), (Stage.TORQUE, True)):
         assert refuted(without_each(nothing, False), without_each(nothing, True, stage)) is falls
+
+
+def test_a_run_left_out_keeps_its_own_place_in_a_gap(monkeypatch):
+    """The runs that remain say nothing of it; without it a true backlash simulates the run wrongly."""
+    asked = []
+    monkeypatch.setattr(heldout, "fit", lambda problem, layout, *given, weights, **how: asked.append((layout, weights)))
+    layout = Layout(Hypothesis(), [], np.zeros((0, 0)), [], 0, 3, np.array([7.0, 0.0, 0.0, 0.0]), np.ones(4))
+    found = SimpleNamespace(layout=layout, x=np.array([9.0, 0.1, -0.2, 0.3]), start=None, offset=None,
+                            jacobian_at=lambda scale: None)
+    problem = SimpleNamespace(runs=[None] * 3, scale=None, pool=SimpleNamespace(map=map))
+    assert len(heldout.leave_each_out(problem, found)) == 3
+    assert [list(weights) for _, weights in asked] == [[0.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 0.0]]
+    assert [list(given.prior_mean) for given, _ in asked] == [
+        [7.0, 0.1, 0.0, 0.0], [7.0, 0.0, -0.2, 0.0], [7.0, 0.0, 0.0, 0.3]]
