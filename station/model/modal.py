@@ -72,6 +72,7 @@ def apply(blocks: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 @njit(cache=True)
 def _blocks(kind, first, second, derivative):
+    """(4, b) of blocks by their kind; ``first``, ``second`` (b): the function of their eigenvalues."""
     out = np.zeros((4, kind.size))
     for i in range(kind.size):
         out[0, i], out[3, i] = first[i].real, first[i].real

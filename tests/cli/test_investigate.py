@@ -11,6 +11,7 @@ from station.cli.investigate import first_test
 from station.diagnose.result import NextExperiment
 from station.diagnose.trials import trials
 from station.errors import UsageError
+from station.model.beam import REAL_ELEMENTS
 from station.rig import load_rig
 from station.runs import load_run
 from station.view import wording
@@ -59,7 +60,7 @@ def test_it_tests_and_diagnoses_until_decided(station, tmp_path, diagnosed):
 
 def test_it_chooses_the_first_test_and_diagnoses_in_earnest(station, tmp_path):
     out, fine = tmp_path / "found", tmp_path / "fine.toml"
-    fine.write_text(load_rig("sflr").with_elements(16).to_toml(), encoding="utf-8")
+    fine.write_text(load_rig("sflr").with_elements(REAL_ELEMENTS).to_toml(), encoding="utf-8")
     ended = station("investigate", "--port", f"sim://sflr?rig={fine}&noise=0.5&seed=1", "--rig", "sflr", "--out", out,
                     "--budget", "1", "--effort", "quick")
     assert ended.status == 0, ended.err

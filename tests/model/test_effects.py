@@ -368,7 +368,7 @@ def test_friction_and_drag_only_take_energy(rig, name, at):
 
 
 def test_a_users_own_effect_joins_without_recompiling_the_stepper(rig):
-    """A law defined here, viscous drag, is the same as more motor damping, and run_ticks stays as compiled."""
+    """A law defined here, viscous drag, is the same as more motor damping, and the stepper stays as compiled."""
     simulate(rig.with_effects([friction("coulomb_friction", "motor")]), as_run(TESTS[0]))
     before = (list(stepper.ticks.signatures), dict(stepper.ticks.stats.cache_misses))
 
@@ -399,3 +399,18 @@ def test_a_users_own_effect_joins_without_recompiling_the_stepper(rig):
     assert np.abs(none.encoder - same.encoder).max() > 1.0
     after = (list(stepper.ticks.signatures), dict(stepper.ticks.stats.cache_misses))
     assert after == before
+
+
+@pytest.mark.parametrize("name", [name for name, cls in catalogue().items()
+                                  if any(info.periodic for info in cls.parameters().values())])
+def test_guesses_of_a_phase_go_all_round(rig, name):
+    """Screening promises nothing to what points the other way, so no phase may lie far from a guess."""
+    cls = catalogue()[name]
+    for phase in (key for key, info in cls.parameters().items() if info.periodic):
+        rounds: dict[tuple, list[float]] = {}
+        for guess in cls.guesses(rig, cls.sites[0]):
+            others = tuple(value for key, value in guess.items() if key != phase)
+            rounds.setdefault(others, []).append(guess[phase] % (2.0 * math.pi))
+        for phases in rounds.values():
+            gaps = np.diff([*sorted(phases), min(phases) + 2.0 * math.pi])
+            assert gaps.max() <= 0.5 * math.pi + 1e-9
