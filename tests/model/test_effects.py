@@ -64,9 +64,10 @@ VALUES = {
 """A plain size of each effect on the flexible arm."""
 KEYS = [(name, at) for name, cls in catalogue().items() for at in cls.sites
         if cls.__module__.startswith("station.model.effects")]
-ROUGH = {("coulomb_friction", "base"): (0.06, 0.2), ("backlash", "drive"): (0.03, 0.15)}
-TOLERANCE, FINE = (0.02, 0.06), (0.006, 0.04)
-"""Largest difference (encoder, accelerometer counts) at the usual step, and at one of 0.1 ms, the generator's own."""
+TOLERANCE, FINE = (0.01, 0.07), (0.004, 0.02)
+"""Largest difference (encoder, accelerometer counts) at the usual step, and at one of 0.1 ms."""
+STEP = 1e-5
+"""Of the generator, s: its dry friction is of first order in the step."""
 SEEN = 10.0
 """A wrong effect differs by more than this many tolerances."""
 OPPOSING = {("cable_spring", "stiffness"), ("quadratic_drag", "coefficient"), ("sublinear_drag", "coefficient"),
@@ -91,7 +92,7 @@ def rig() -> Rig:
 
 def truths(effects: list[dict]) -> list[Output]:
     """The three tests by the independent generator, with the model's own number of beam elements, unrounded."""
-    truth = Truth(SFLR, effects, elements=4, modes=9)
+    truth = Truth(SFLR, effects, elements=4, modes=9, step=STEP)
     return [truth.run(test.reference, CONTROLLERS[test.controller], start_angle=START + ZERO, zero_angle=ZERO,
                       accel_offset=OFFSET, accel_zero=OFFSET, rounding=False) for test in TESTS]
 
@@ -142,7 +143,7 @@ def test_effect_agrees_with_the_independent_generator_and_a_wrong_one_does_not(r
     cls, values = effect_class(name), VALUES[key]
     outputs = truths([{"effect": name, "at": at, **values}])
     right = rig.with_effects([cls(at=at, **values)])
-    allowed = np.array(ROUGH.get(key, TOLERANCE))
+    allowed = np.array(TOLERANCE)
     assert np.all(differences(right, outputs) <= allowed)
     assert np.all(differences(right, outputs, longest=1e-4) <= FINE)
     assert np.any(differences(rig, outputs) > SEEN * allowed), "off"
@@ -171,7 +172,7 @@ def test_a_law_with_the_wrong_sign_or_five_percent_too_much_is_noticed(rig, key,
     for law in (negated, larger):
         monkeypatch.setattr(cls, "law", staticmethod(law))
         wrong = differences(rig.with_effects([cls(at=at, **values)]), outputs)
-        assert np.any(wrong > ROUGH.get(key, TOLERANCE)), law.__name__
+        assert np.any(wrong > TOLERANCE), law.__name__
 
 
 def test_every_kind_of_wrong_is_tried():
@@ -251,8 +252,8 @@ def test_neutral_value_gives_the_linear_model_back(rig, key):
 def test_every_effect_agrees_with_the_independent_generator_on_a_rig_of_other_parts(shape):
     rig, table, tests = RIGS[shape], tables()[shape], [test for test in TESTS if test.controller != "lead_accel"]
     for name, at in effect_names(table):
-        values, allowed = VALUES[name, at], ROUGH.get((name, at), TOLERANCE)
-        truth = Truth(table, [{"effect": name, "at": at, **values}], elements=4, modes=9)
+        values = VALUES[name, at]
+        truth = Truth(table, [{"effect": name, "at": at, **values}], elements=4, modes=9, step=STEP)
         model = build(rig.with_effects([effect_class(name)(at=at, **values)]), longest=1e-4)
         for test in tests:
             output = truth.run(test.reference, CONTROLLERS[test.controller], start_angle=START, rounding=False)
@@ -260,7 +261,7 @@ def test_every_effect_agrees_with_the_independent_generator_on_a_rig_of_other_pa
             gaps = [np.max(np.abs(made.encoder - output.encoder))]
             assert (made.accel is None) == (output.accel is None) == (rig.accelerometer is None)
             gaps += [] if output.accel is None else [np.max(np.abs(made.accel - output.accel))]
-            assert np.all(gaps <= np.array(allowed[: len(gaps)])), (name, at, test.name, gaps)
+            assert np.all(gaps <= np.array(TOLERANCE[: len(gaps)])), (name, at, test.name, gaps)
 
 
 EQUILIBRIA = [[{"effect": "cable_spring", "at": "base", "stiffness": 0.15, "rest": 0.3},
@@ -275,7 +276,7 @@ EQUILIBRIA = [[{"effect": "cable_spring", "at": "base", "stiffness": 0.15, "rest
 
 @pytest.mark.parametrize("effects", EQUILIBRIA, ids=lambda rows: rows[0]["effect"])
 def test_equilibrium_start_agrees_with_the_independent_generator(rig, effects):
-    truth = Truth(SFLR, effects, elements=4, modes=9)
+    truth = Truth(SFLR, effects, elements=4, modes=9, step=STEP)
     built = [effect_class(e["effect"])(**{k: v for k, v in e.items() if k != "effect"}) for e in effects]
     test = step_test(RATE, "p2", 60.0, 1.2)
     out = truth.run(test.reference, CONTROLLERS["p2"], start="equilibrium", start_angle=START, rounding=False)
@@ -354,16 +355,20 @@ def test_load_friction_holds_a_motor_that_a_wound_drive_pushes(rig):
                                           ("stribeck_friction", "motor"), ("load_friction", "drive"),
                                           ("sublinear_drag", "motor"), ("quadratic_drag", "base")])
 def test_friction_and_drag_only_take_energy(rig, name, at):
-    """On an arm without any damping of its own, after a pulse, the energy never grows and does fall."""
+    """On an arm without any damping of its own, after a pulse, the energy never grows and does fall.
+
+    The mean torque of a step in which the motion turns does work on the way of the whole step: of second order in it.
+    """
     plain = rig.with_constants({"motor.damping": 0.0, "drive.damping": 0.0, "clamp.damping": 0.0, "beam.damping": 0.0})
     parts = assemble(plain)
     energies = {}
     for effects in ([], [friction(name, at)]):
-        x = motion(build(plain.with_effects(effects), truncation=0.0), np.where(np.arange(900) < 20, 60.0, 0.0))[20:]
+        model = build(plain.with_effects(effects), truncation=0.0, longest=2.5e-4)
+        x = motion(model, np.where(np.arange(900) < 20, 60.0, 0.0))[20:]
         q, v = x[:, : parts.size], x[:, parts.size:]
         energies[len(effects)] = 0.5 * np.sum(q @ parts.stiffness * q + v @ parts.mass * v, axis=1)
     np.testing.assert_allclose(energies[0], energies[0][0], rtol=1e-6)
-    assert np.max(np.diff(energies[1])) <= 1e-7 * energies[1][0]
+    assert np.max(np.diff(energies[1])) <= 1e-8 * energies[1][0]
     assert energies[1][-1] < 0.7 * energies[1][0]
 
 

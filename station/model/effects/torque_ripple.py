@@ -24,7 +24,7 @@ class TorqueRipple(Effect):
                "angle, encoder eccentricity leaves the acceleration alone")
 
     amplitude: float = parameter("N m", 0.0, neutral=0.0)
-    cycles: float = parameter("1/rev", 0.5, 200.0)
+    cycles: float = parameter("1/rev", 1.0, 200.0)
     phase: float = parameter("rad", -math.pi, math.pi, periodic=True)
 
     @classmethod
