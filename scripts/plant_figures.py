@@ -18,8 +18,13 @@ from matplotlib.ticker import NullFormatter
 from station.control.compensators import Compensator
 from station.control.design import modes, transfer_function
 from station.model.beam import beam_matrices
+from station.model.effects.backlash import Backlash
+from station.model.effects.coulomb_friction import CoulombFriction
+from station.model.effects.load_friction import LoadFriction
+from station.model.effects.stribeck_friction import StribeckFriction
 from station.model.linear import natural_frequencies, state_space
 from station.model.lumped import lumped_assembly, run_chain
+from station.model.simulate import build, simulate_model
 from station.model.transfer_matrix import chain_response
 from station.model.transfer_matrix import natural_frequencies as continuous_frequencies
 from station.rig import Rig, load_rig
@@ -113,6 +118,45 @@ def lumped_figure(path: Path) -> None:
     figure.savefig(path)
 
 
+def steps_figure(path: Path) -> None:
+    """Dry friction and a gap: how far a pulse and a step with the lead differ from the same with very small steps."""
+    rig, rows, finest = load_rig("sflr"), 600, 6.25e-6
+    hit, up = (np.where((np.arange(rows) >= 10) & (np.arange(rows) < end), size, 0.0)
+               for end, size in ((60, 120.0), (rows, 100.0)))
+    zero, lead = np.zeros(rows), {"kind": "lead", "gain": 20.0, "zero": 31.4159, "pole": 125.6637}
+    runs = [Run(name, np.arange(rows) / rig.sample_rate, reference, reference, zero, zero, RunMetadata(controller=spec))
+            for name, reference, spec in (("pulse", hit, {"kind": "open"}), ("step", up, lead))]
+    shown = {"Coulomb friction, 0.05 N m": CoulombFriction(at="motor", torque=0.05),
+             "Stribeck friction, 0.1 to 0.05 N m": StribeckFriction(at="motor", static_torque=0.1, coulomb_torque=0.05,
+                                                                    stribeck_velocity=0.4),
+             "load friction, 0.3": LoadFriction(at="drive", fraction=0.3),
+             "backlash, 0.04 rad": Backlash(at="drive", gap=0.04)}
+    steps = rig.period / np.array([1, 2, 4, 10, 20, 40])
+    figure = Figure(figsize=(9.0, 3.4), layout="constrained")
+    axes = figure.subplots(1, 2)
+
+    def outputs(arm: Rig, longest: float) -> np.ndarray:
+        model = build(arm, longest=longest)
+        made = [simulate_model(model, run, rounding=False) for run in runs]
+        return np.array([[s.encoder, s.accel] for s in made])
+
+    for name, effect in shown.items():
+        arm = rig.with_effects([effect])
+        exact = outputs(arm, finest)
+        errors = np.array([np.abs(outputs(arm, h) - exact).max(axis=(0, 2)) for h in steps])
+        print(name, "largest error by step (ms): encoder, accelerometer, counts:",
+              {f"{1e3 * h:.3g}": [float(f"{e:.2g}") for e in row] for h, row in zip(steps, errors, strict=True)})
+        for axis, row in zip(axes, errors.T, strict=True):
+            axis.loglog(1e3 * steps, row, "o-", markersize=4, label=name)
+    for axis, channel, size in zip(axes, ("encoder", "accelerometer"), (0.1, 1.0), strict=True):
+        axis.loglog(1e3 * steps, size * (steps / steps[0]) ** 2, "k:", label="second power")
+        axis.set(xlabel="step, ms", ylabel=f"largest {channel} error, counts")
+        axis.xaxis.set_minor_formatter(NullFormatter())
+        axis.grid(alpha=0.3)
+    axes[1].legend(fontsize=8, loc="lower right")
+    figure.savefig(path)
+
+
 def numbers() -> None:
     """What the pages state."""
     rig = load_rig("sflr")
@@ -149,6 +193,7 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     beam_figure(options.out / "beam.svg")
     lumped_figure(options.out / "lumped.svg")
+    steps_figure(options.out / "steps.svg")
     if options.logs:
         log = load_run(next(options.logs.glob("swept_sine*.txt")))
         bode_figure(load_rig("sflr"), log).savefig(options.out / "bode.png", dpi=90)
