@@ -372,6 +372,21 @@ def test_friction_and_drag_only_take_energy(rig, name, at):
     assert energies[1][-1] < 0.7 * energies[1][0]
 
 
+@pytest.mark.parametrize(("name", "at", "size"), [("backlash", "drive", "gap"), ("coulomb_friction", "motor", "torque"),
+                                                   ("coulomb_friction", "base", "torque"),
+                                                   ("stribeck_friction", "motor", "static_torque")])
+def test_readings_move_smoothly_with_a_gap_and_with_friction(rig, name, at, size):
+    """Contacts and stops fall between steps: a thousandth more must do what a thousandth less undoes."""
+    def readings(share: float) -> np.ndarray:
+        values = VALUES[name, at] | {size: share * VALUES[name, at][size]}
+        model = build(rig.with_effects([effect_class(name)(at=at, **values)]), longest=5e-4)
+        made = [simulate_model(model, as_run(test), rounding=False, start_angle=START) for test in TESTS]
+        return np.concatenate([[s.encoder, s.accel] for s in made], axis=1)
+
+    less, as_it_is, more = (readings(share) for share in (0.999, 1.0, 1.001))
+    assert np.linalg.norm(more - 2.0 * as_it_is + less) < 0.02 * np.linalg.norm(0.5 * (more - less))
+
+
 def test_a_users_own_effect_joins_without_recompiling_the_stepper(rig):
     """A law defined here, viscous drag, is the same as more motor damping, and the stepper stays as compiled."""
     simulate(rig.with_effects([friction("coulomb_friction", "motor")]), as_run(TESTS[0]))
