@@ -39,6 +39,8 @@ MISFIT = 3.0
 FEATURES = 60.0
 """Independent errors that a misfit counts for, per run and channel: a few seconds of a few hertz."""
 REALISATIONS = 16
+DIVERGED = 1e9
+"""Counts at which a model's loop has run away."""
 WIDE = 1.5
 """Prior sigma of the logarithm of a constant that a hypothesis sets free, and of an effect's size."""
 
@@ -154,7 +156,8 @@ class Problem:
         Rounding makes the command chatter; chatter against the limit or against friction has a mean.  REALISATIONS
         pairs of simulations, with and without rounding, started within one count of each other, give that mean, which
         is added to every simulation, and the scatter about it, which is added to the noise (times how long it lasts).
-        Rigs driven by the logged command know of no such thing: the chatter is in the log.
+        Rigs driven by the logged command know of no such thing: the chatter is in the log.  A run in which rounding
+        alone makes the model's loop diverge keeps what was allowed for before.
         """
         model = self.model(layout, x)
         rng = np.random.default_rng(1)
@@ -170,6 +173,8 @@ class Problem:
                 continue
             shifts = rng.uniform(-0.5, 0.5, (REALISATIONS, 2)) * [self.rig.angle_per_count, 1.0]
             differences = np.array(list(self.pool.map(pair, [(r, *shift) for shift in shifts])))
+            if not np.all(np.abs(differences) < DIVERGED):
+                continue
             self.chatter[r] = differences.mean(axis=0)
             for c in range(self.channels):
                 scatter = differences[:, c] - self.chatter[r][c]

@@ -591,12 +591,15 @@ def recalibrate(search: Search, best: Fit) -> Fit:
     care = search.care
     search.fits = {}
 
-    def under_new_scale(found: Fit) -> Fit:
-        return fit(problem, found.layout, found.x, found.start, found.offset, iterations=10, **care,
-                   jacobian=found.jacobian_at(problem.scale), parallel=False)
+    def under_new_scale(found: Fit) -> Fit | None:
+        with suppress(*LOST):        # does not simulate with the chatter of the best
+            return fit(problem, found.layout, found.x, found.start, found.offset, iterations=10, **care,
+                       jacobian=found.jacobian_at(problem.scale), parallel=False)
+        return None
 
     for found in problem.pool.map(under_new_scale, again):
-        search.keep(found)
+        if found is not None:
+            search.keep(found)
     return search.best()
 
 

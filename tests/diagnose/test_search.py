@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from station.diagnose import search as module
 from station.diagnose.candidates import candidates
 from station.diagnose.estimate import fit
-from station.diagnose.problem import Problem
+from station.diagnose.problem import Hypothesis, Problem
 from station.diagnose.search import (
     EFFORTS,
     REACHED,
@@ -174,3 +175,25 @@ def test_the_start_of_the_runs_is_the_same_problem_cut_short() -> None:
         assert (cut.encoder == whole.encoder[: len(cut)]).all()
     assert [s.shape[1] for s in short.scale] == [len(run) for run in short.runs]
     assert (short.start == problem.start).all() and (short.offset == problem.offset).all()
+
+
+def test_a_loop_that_rounding_makes_run_away_keeps_its_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = Problem(load_rig("sflr"), make_case(5, [], count=5).runs)
+    problem.by_command = False
+    closed = [r for r, run in enumerate(problem.runs) if run.metadata.controller["kind"] != "open"]
+    gone, others = closed[0], closed[1:]
+    layout, plain, before = problem.layout(Hypothesis(), {}), problem.simulate_run, [s.copy() for s in problem.scale]
+
+    def simulate_run(model, layout, x, index, *given, rounding=False, **named):
+        made = plain(model, layout, x, index, *given, rounding=rounding, **named)
+        return replace(made, encoder=made.encoder * np.inf) if index == gone and rounding == "inside" else made
+
+    monkeypatch.setattr(problem, "simulate_run", simulate_run)
+    with np.errstate(invalid="ignore"):
+        problem.calibrate(layout, layout.prior_mean, problem.start, problem.offset)
+    assert others
+    assert np.array_equal(problem.scale[gone], before[gone])
+    assert not problem.chatter[gone].any()
+    for r in others:
+        assert not np.array_equal(problem.scale[r], before[r])
+    assert np.isfinite(base_fit(problem).objective)
