@@ -64,7 +64,8 @@ VALUES = {
 """A plain size of each effect on the flexible arm."""
 KEYS = [(name, at) for name, cls in catalogue().items() for at in cls.sites
         if cls.__module__.startswith("station.model.effects")]
-TOLERANCE, FINE = (0.01, 0.07), (0.004, 0.02)
+ROUGH = {("backlash", "drive"): (0.01, 0.07)}
+TOLERANCE, FINE = (0.01, 0.045), (0.004, 0.02)
 """Largest difference (encoder, accelerometer counts) at the usual step, and at one of 0.1 ms."""
 STEP = 1e-5
 """Of the generator, s: its dry friction is of first order in the step."""
@@ -143,7 +144,7 @@ def test_effect_agrees_with_the_independent_generator_and_a_wrong_one_does_not(r
     cls, values = effect_class(name), VALUES[key]
     outputs = truths([{"effect": name, "at": at, **values}])
     right = rig.with_effects([cls(at=at, **values)])
-    allowed = np.array(TOLERANCE)
+    allowed = np.array(ROUGH.get(key, TOLERANCE))
     assert np.all(differences(right, outputs) <= allowed)
     assert np.all(differences(right, outputs, longest=1e-4) <= FINE)
     assert np.any(differences(rig, outputs) > SEEN * allowed), "off"
@@ -172,7 +173,7 @@ def test_a_law_with_the_wrong_sign_or_five_percent_too_much_is_noticed(rig, key,
     for law in (negated, larger):
         monkeypatch.setattr(cls, "law", staticmethod(law))
         wrong = differences(rig.with_effects([cls(at=at, **values)]), outputs)
-        assert np.any(wrong > TOLERANCE), law.__name__
+        assert np.any(wrong > ROUGH.get(key, TOLERANCE)), law.__name__
 
 
 def test_every_kind_of_wrong_is_tried():
