@@ -333,8 +333,8 @@ def sense(plan, state, offset, rounding):
 
 
 @kernel(forceinline=True)
-def _advance(plan, state, command, work):
-    """Hold a command over one period, with ports, delays and filters."""
+def _advance(plan, state, command, disturbance, work):
+    """Hold a command over one period, with ports, delays and filters; ``disturbance``: torque besides, in counts."""
     place = state.clock[1] + 1
     if place == state.commands.size:
         place = 0
@@ -358,6 +358,7 @@ def _advance(plan, state, command, work):
             extra = before - count
         else:
             count = _chain(plan, state, old if step < plan.switch else new, plan.h)
+        count += disturbance
         _propagate(plan.phi, plan.held, z, count)
         if extra != 0.0:
             for i in range(size):
@@ -392,7 +393,7 @@ def begin(plan, state):
 @kernel()
 def tick(plan, state, command, offset, rounding, work, out):
     """Hold a command to the next tick and read the sensors there: out = encoder, accel (counts)."""
-    _advance(plan, state, command, work)
+    _advance(plan, state, command, 0.0, work)
     out[0], out[1] = sense(plan, state, offset, rounding)
 
 
@@ -453,7 +454,7 @@ def ticks(plan, state, controller, reference, command, closed, command_row, offs
             _propagate(plan.phi, plan.held, z, command[row])
             state.last[0] = command[row]
         else:
-            _advance(plan, state, command[row], work)
+            _advance(plan, state, command[row], 0.0, work)
     if rounding == ALL:
         for row in range(rows):
             encoder[row], accel[row] = seen_encoder[row], seen_accel[row]
