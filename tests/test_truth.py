@@ -270,6 +270,26 @@ def test_load_friction_takes_its_share_of_the_drives_torque():
     assert angle(held_still)[-1] == pytest.approx(angle(held_still)[19999], rel=1e-4)
 
 
+def test_load_friction_without_a_drive_takes_its_share_of_motor_torque_less_external_torque():
+    """Pushed slowly against a spring gain u (1 - f) = torque (1 + f), let go slowly gain u (1 + f) = torque (1 - f)."""
+    rig = axis(damping=3.0, gain=0.01)
+    cause = [effect("load_friction", "motor", fraction=0.3), effect("cable_spring", "base", stiffness=1.0, rest=0.0)]
+    out = run_exact(rig, cause, held((40000, 50), (40000, 10)))
+    assert angle(out)[39999] == pytest.approx(0.5 * 0.7 / 1.3, rel=1e-4)
+    assert angle(out)[-1] == pytest.approx(0.1 * 1.3 / 0.7, rel=1e-3)
+    held_still = run_exact(rig, cause, held((40000, 50), (4000, 20)))
+    assert angle(held_still)[-1] == pytest.approx(angle(held_still)[39999], rel=1e-4)
+
+
+def test_load_friction_alone_on_an_axis_takes_its_share_of_the_motors_torque():
+    """Without external torque J w' = (1 - f)(gain u - damping w) as long as the motor drives."""
+    j, c, g, f = 0.02, 0.15, 0.01, 0.4
+    t = np.arange(300) * 0.002
+    out = run_exact(axis(), [effect("load_friction", "motor", fraction=f)], np.full(300, 50.0))
+    tau = j / c / (1 - f)
+    assert angle(out) == pytest.approx(g * 50 / c * (t - tau * (1 - np.exp(-t / tau))), abs=1e-6)
+
+
 @pytest.mark.parametrize(
     "cause",
     [
@@ -617,8 +637,9 @@ def test_every_effect_of_the_catalogue_moves_the_outputs_and_vanishes_with_its_s
     reference = held((100, 0), (600, 180), (500, -20))
     plain = run_exact(tr.SFLR, [], reference, tr.CONTROLLERS["p2"], gap_place=0.3)
     scale = np.array([1.0, 1.0])
-    assert len(tr.CATALOGUE) == 27
-    for name, at in tr.CATALOGUE:
+    assert set(tr.CATALOGUE) - set(tr.effect_names(tr.SFLR)) == {("load_friction", "motor")}
+    assert len(tr.effect_names(tr.SFLR)) == 27
+    for name, at in tr.effect_names(tr.SFLR):
         shape = tr.draw_effect(name, rng, tr.SFLR, at)
         sizes = []
         for factor in (1.0, 1e-6):
@@ -655,6 +676,8 @@ def test_effects_that_do_not_exist_are_refused(wrong):
 def test_effects_need_their_part():
     with pytest.raises(ValueError, match="no drive"):
         tr.Truth(tr.RIGID_AXIS, [effect("load_friction", "drive", fraction=0.2)])
+    with pytest.raises(ValueError, match="has a drive"):
+        tr.Truth(tr.TWO_MASS, [effect("load_friction", "motor", fraction=0.2)])
 
 
 # --- outside the catalogue ----------------------------------------------------------------------------------

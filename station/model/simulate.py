@@ -87,6 +87,12 @@ def _decoupled(tables: _Tables) -> tuple[Assembly, ModalForm]:
     return parts, modal_form(parts)
 
 
+def _moment(parts: Assembly, motor_damping: float) -> np.ndarray:
+    """Row over [q, q'] of the torque that beam and clamp exert on a motor without a drive, N m."""
+    viscous = parts.damping[parts.motor] - motor_damping * parts.unit(parts.motor)
+    return -np.concatenate([parts.stiffness[parts.motor], viscous])
+
+
 @functools.lru_cache(maxsize=32)
 def _sampled(tables: _Tables, ports: tuple[str, ...], period: float, substeps: int, delay: float, truncation: float,
              ) -> tuple[ModalForm, stepper.Plan, float]:
@@ -114,6 +120,7 @@ def _sampled(tables: _Tables, ports: tuple[str, ...], period: float, substeps: i
     port_held = np.array([apply(held, torque) for torque in torques]).reshape(-1, 2 * form.blocks)
     joints = [getattr(rig, port) if port in ("drive", "clamp") else None for port in ports]
     slots, first, arguments, _ = _slots(rig, [], ports)
+    moment = _moment(parts, rig.motor.damping) @ form.basis
     switched = np.zeros_like(command)
     if switch >= 0:
         switched = apply(form.exponential(h - switch_time), apply(form.integral(switch_time), command))
@@ -126,7 +133,8 @@ def _sampled(tables: _Tables, ports: tuple[str, ...], period: float, substeps: i
         port_angle @ port_held.T, port_speed @ port_held.T,
         np.array([0.0 if j is None else j.stiffness for j in joints]),
         np.array([0.0 if j is None else j.damping for j in joints]),
-        -1, slots, first, arguments, rig.amplifier.limit, rig.beam.length if rig.beam else 0.0,
+        -1, -1, rig.motor.gain, rig.motor.damping, moment, port_held @ moment,
+        slots, first, arguments, rig.amplifier.limit, rig.beam.length if rig.beam else 0.0,
         1.0 / rig.angle_per_count, gain, 0.0, 0.0)
     return form, plan, dropped
 
@@ -148,15 +156,24 @@ def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP) ->
     within = bool(laws) or any(late.values())
     substeps = math.ceil(period / longest - 1e-9) if within else 1
     tables, ports = _Tables(rig), _ports(rig, laws)
+    loaded = any(_by_load(rig, e) for e in laws)
+    if loaded and rig.drive is None and rig.beam is not None:
+        truncation = 0.0   # the moment at the beam's root is the sum of all modes
     form, plan, dropped = _sampled(tables, ports, period, substeps, delay, truncation)
     slots, first, arguments, states = _slots(rig, laws, ports)
-    loaded = any(e.stage is Stage.FRICTION and e.at == "drive" for e in laws)
     plan = plan._replace(
-        load_port=ports.index("drive") if loaded else -1, slots=slots, first=first, arguments=arguments,
+        load_port=ports.index("drive") if loaded and rig.drive is not None else -1,
+        axis_port=ports.index("motor") if loaded and rig.drive is None else -1,
+        slots=slots, first=first, arguments=arguments,
         encoder_delay=late[Stage.ENCODER_DELAY] / plan.h, accel_delay=late[Stage.ACCEL_DELAY] / plan.h)
     filters = int(first[stepper.ACCEL_FILTER + 1] - first[stepper.ACCEL_FILTER])
     rings = int(max(plan.encoder_delay, plan.accel_delay)) + 3
     return Model(rig, _decoupled(tables)[0], form, plan, states, filters, rings, dropped)
+
+
+def _by_load(rig: Rig, effect: Effect) -> bool:
+    """Whether an effect's law asks for the load on the gears: friction of a drive, or of what stands for it."""
+    return effect.stage is Stage.FRICTION and (effect.at == "drive" or rig.drive is None and "drive" in effect.sites)
 
 
 def _row(output: np.ndarray, blocks: np.ndarray) -> np.ndarray:
@@ -232,18 +249,18 @@ def _slots(rig: Rig, laws: list[Effect], ports: tuple[str, ...]) -> tuple[np.nda
     rows, arguments, states = [], [], 0
     counts = np.zeros(stepper.STAGES, dtype=np.int64)
     for effect in laws:
-        place = effect.at
+        place, side = effect.at, -1 if effect.at == "base" else 1
         if effect.stage is Stage.FRICTION and place == "drive":
             place = "motor"
         if place == "base" and "base" not in ports:
             place = "motor"
         port = ports.index(place) if place in ports else -1
-        rows.append((port, address(type(effect).law), len(arguments), states))
+        rows.append((port, address(type(effect).law), len(arguments), states, side))
         arguments += effect.arguments(rig)
         states += effect.states
         counts[_STAGE[effect.stage]] += 1
     first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    return (np.array(rows, dtype=np.int64).reshape(-1, 4), first, np.array([*arguments, 0.0], dtype=float), states)
+    return (np.array(rows, dtype=np.int64).reshape(-1, 5), first, np.array([*arguments, 0.0], dtype=float), states)
 
 
 def initial_state(model: Model, start_angle: float = 0.0, zero: float = 0.0, *, equilibrium: bool = False,

@@ -75,8 +75,18 @@ class Plan(NamedTuple):
     """(p)."""
     load_port: int
     """Port of the drive for load-dependent friction (-1: none)."""
+    axis_port: int
+    """Port of a motor without a drive for load-dependent friction (-1: none)."""
+    motor_gain: float
+    """N m per count."""
+    motor_damping: float
+    """N m s/rad."""
+    moment: np.ndarray
+    """(2b) output row: torque of the beam and the clamp on the axis of a motor without a drive, N m."""
+    moment_gain: np.ndarray
+    """(p) the same per N m held over h."""
     slots: np.ndarray
-    """(m, 4) int64: port, address, first argument, first state; grouped by stage."""
+    """(m, 5) int64: port, address, first argument, first state, side (1 the motor's, -1 what it moves); by stage."""
     first: np.ndarray
     """(STAGES + 1) int64: where each stage's slots begin."""
     arguments: np.ndarray
@@ -238,7 +248,30 @@ def _dry(before, loose, level, hold, gain):
 
 
 @kernel(forceinline=True)
-def _solve_ports(laws, joints, gains, load_port, torque, zero, work):
+def _axis_load(laws, axis, torque, given, x, v):
+    """Mean load over a step on the gears of a motor that moves its load without a drive, N m.
+
+    |motor torque - external torque| (Duclusaud, Passault et al., Extended Friction Models for the Physics Simulation of
+    Servo Actuators, 2024, eq. of model M3).  Motor torque: gain times command, less motor.damping times speed (their
+    back-EMF), and what acts at the motor; external torque: what acts at the base, and the beam's.  ``given``: gain
+    times command and the beam's torque without port torques, ``x``, ``v`` angle and speed, all means over the step.
+    """
+    slots, first, arguments, effects, h = laws
+    port, damping, moment_gain = axis
+    load = given[0] - damping * v - given[1]
+    for q in range(torque.size):
+        load -= 0.5 * moment_gain[q] * torque[q]
+        if q != port:
+            load -= torque[q]
+    for slot in range(first[TORQUE], first[TORQUE + 1]):
+        if slots[slot, 0] == port:
+            load += slots[slot, 4] * call_law(slots[slot, 1], x, v, 0.0, element(arguments, slots[slot, 2]),
+                                              element(effects, slots[slot, 3]), h)
+    return abs(load)
+
+
+@kernel(forceinline=True)
+def _solve_ports(laws, joints, gains, load_port, axis, given, torque, zero, work):
     """Port torques over this step, written to ``torque``; ``work`` holds the ports' free and old angles and speeds."""
     kinds, stiffness, damping = joints
     angle_gain, speed_gain = gains
@@ -265,6 +298,8 @@ def _solve_ports(laws, joints, gains, load_port, torque, zero, work):
                         a += angle_gain[j, q] * torque[q]
                         s += speed_gain[j, q] * torque[q]
                     load = abs(_mean_joint_torque(laws, j, stiffness[j], damping[j], work[2, j], a, work[3, j], s))
+                elif axis[0] == p:
+                    load = _axis_load(laws, axis, torque, given, middle + zero, mean)
                 hold = _port_sum(laws, FRICTION, p, 0.0, 0.0, load)
                 if hold > 0.0:
                     level = _port_sum(laws, FRICTION, p, abs(mean), 0.0, load)
@@ -350,6 +385,8 @@ def _advance(plan, state, command, disturbance, work):
     laws = (plan.slots, plan.first, plan.arguments, state.effects, plan.h)
     joints = (plan.port_joint, plan.joint_stiffness, plan.joint_damping)
     gains = (plan.angle_gain, plan.speed_gain)
+    axis = (plan.axis_port, plan.motor_damping, plan.moment_gain)
+    driven, moment = 0.0, 0.0
     for step in range(plan.substeps):
         extra = 0.0
         if step == plan.switch:
@@ -358,6 +395,9 @@ def _advance(plan, state, command, disturbance, work):
             extra = before - count
         else:
             count = _chain(plan, state, old if step < plan.switch else new, plan.h)
+        if plan.axis_port >= 0:
+            driven = plan.motor_gain * (count + extra * plan.switch_time / plan.h)
+            moment = 0.5 * _dot(plan.moment, z)
         count += disturbance
         _propagate(plan.phi, plan.held, z, count)
         if extra != 0.0:
@@ -367,7 +407,9 @@ def _advance(plan, state, command, disturbance, work):
         if ports > 0:
             for p in range(ports):
                 work[0, p], work[1, p] = _dot2(plan.port_angle[p], plan.port_speed[p], z)
-            _solve_ports(laws, joints, gains, plan.load_port, state.torque, state.last[2], work)
+            if plan.axis_port >= 0:
+                moment += 0.5 * _dot(plan.moment, z)
+            _solve_ports(laws, joints, gains, plan.load_port, axis, (driven, moment), state.torque, state.last[2], work)
             for p in range(ports):
                 work[2, p], work[3, p] = work[0, p], work[1, p]
                 for q in range(ports):

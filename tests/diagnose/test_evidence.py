@@ -58,7 +58,7 @@ VALUES = {
     ("torque_ripple", "motor"): {"amplitude": 0.08, "cycles": 6.0, "phase": 1.0},
 }
 KEYS = [(name, at) for name, cls in catalogue().items() for at in cls.sites
-        if cls.__module__.startswith("station.model.effects")]
+        if cls.__module__.startswith("station.model.effects") and cls.fits(RIG, at)]
 SIZE = {"stribeck_friction": ("static_torque", "coulomb_torque"), "encoder_eccentricity": ("amplitude",),
         "cable_spring": ("stiffness",), "gravity_tilt": ("torque",), "torque_ripple": ("amplitude",),
         "sublinear_drag": ("coefficient",)}

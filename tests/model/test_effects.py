@@ -56,14 +56,17 @@ VALUES = {
     ("hardening_spring", "clamp"): {"cubic": 300.0},
     ("input_delay", "amplifier"): {"time": 0.0047},
     ("load_friction", "drive"): {"fraction": 0.3},
+    ("load_friction", "motor"): {"fraction": 0.3},
     ("quadratic_drag", "base"): {"coefficient": 0.02},
     ("stribeck_friction", "motor"): {"static_torque": 0.1, "coulomb_torque": 0.05, "stribeck_velocity": 0.4},
     ("sublinear_drag", "motor"): {"coefficient": 0.1, "speed": 0.7},
     ("torque_ripple", "motor"): {"amplitude": 0.06, "cycles": 6.0, "phase": 1.0},
 }
-"""A plain size of each effect on the flexible arm."""
-KEYS = [(name, at) for name, cls in catalogue().items() for at in cls.sites
-        if cls.__module__.startswith("station.model.effects")]
+"""A plain size of each effect on the flexible arm, or on one without a drive."""
+EVERYWHERE = [(name, at) for name, cls in catalogue().items() for at in cls.sites
+              if cls.__module__.startswith("station.model.effects")]
+KEYS = [(name, at) for name, at in EVERYWHERE if effect_class(name).fits(load_rig("sflr"), at)]
+"""On the flexible arm, which has a drive."""
 ROUGH = {("backlash", "drive"): (0.01, 0.07)}
 TOLERANCE, FINE = (0.01, 0.045), (0.004, 0.02)
 """Largest difference (encoder, accelerometer counts) at the usual step, and at one of 0.1 ms."""
@@ -135,7 +138,8 @@ def wrong_versions(cls: type[Effect], at: str, values: dict[str, float]):
 
 
 def test_every_effect_has_a_case_here_and_in_the_independent_generator():
-    assert set(VALUES) == set(KEYS) == set(CATALOGUE)
+    assert set(VALUES) == set(EVERYWHERE) == set(CATALOGUE)
+    assert set(EVERYWHERE) - set(KEYS) == {("load_friction", "motor")}
 
 
 @pytest.mark.parametrize("key", KEYS, ids="@".join)
@@ -263,6 +267,83 @@ def test_every_effect_agrees_with_the_independent_generator_on_a_rig_of_other_pa
             assert (made.accel is None) == (output.accel is None) == (rig.accelerometer is None)
             gaps += [] if output.accel is None else [np.max(np.abs(made.accel - output.accel))]
             assert np.all(gaps <= np.array(TOLERANCE[: len(gaps)])), (name, at, test.name, gaps)
+
+
+PENDULUM = {"effect": "gravity_tilt", "at": "base", "torque": 0.6, "angle": 0.2}
+RIPPLE = {"effect": "torque_ripple", "at": "motor", "amplitude": 0.1, "cycles": 6.0, "phase": 1.0}
+LATE = [{"effect": "input_delay", "at": "amplifier", "time": 0.0047},
+        {"effect": "actuator_lag", "at": "amplifier", "time_constant": 0.006}]
+
+
+@pytest.mark.parametrize("others", [[PENDULUM], [RIPPLE], [*LATE[:1], PENDULUM], [*LATE, RIPPLE]],
+                         ids=["pendulum", "ripple", "late pendulum", "lagging ripple"])
+@pytest.mark.parametrize("missing", [("drive", "base", "clamp", "beam", "tip", "accelerometer"), ("drive",),
+                                     ("drive", "clamp")], ids=["axis", "arm", "arm without clamp"])
+def test_load_friction_without_a_drive_agrees_with_the_independent_generator_and_a_wrong_one_does_not(missing, others):
+    """Torques of motor and load, a beam's included, on the side where they are; a wrong side is far off."""
+    table = {key: value for key, value in SFLR.items() if key not in (*missing, "uncertainty")}
+    if "beam" in missing:
+        table = RIGID_AXIS
+    cls, test = effect_class("load_friction"), step_test(RATE, "p2", 60.0, 1.2)
+    truth = Truth(table, [*others, {"effect": "load_friction", "at": "motor", "fraction": 0.3}], elements=4, modes=9,
+                  step=STEP)
+    output = truth.run(test.reference, CONTROLLERS["p2"], start_angle=START, rounding=False)
+
+    def difference(right: list[Effect]) -> np.ndarray:
+        held = [effect_class(e["effect"])(**{k: v for k, v in e.items() if k != "effect"}) for e in others]
+        made = simulate_model(build(Rig.model_validate(table).with_effects(held + right), longest=1e-4), as_run(test),
+                              rounding=False, start_angle=START)
+        gaps = [np.max(np.abs(made.encoder - output.encoder))]
+        return np.array(gaps + ([] if output.accel is None else [np.max(np.abs(made.accel - output.accel))]))
+
+    assert np.all(difference([cls(at="motor", fraction=0.3)]) <= TOLERANCE[: 1 if "beam" in missing else 2])
+    for wrong in ([], [cls.model_construct(at="motor", fraction=-0.3)], [cls(at="motor", fraction=0.33)]):
+        assert difference(wrong)[0] > SEEN * TOLERANCE[0], wrong
+
+
+def test_load_friction_stands_at_the_drive_or_where_there_is_none_at_the_motor():
+    cls = effect_class("load_friction")
+    for shape in RIGS.values():
+        assert cls.fits(shape, "drive") == (shape.drive is not None) != cls.fits(shape, "motor")
+    with pytest.raises(ValidationError, match="load_friction at motor"):
+        Rig.model_validate(SFLR | {"effects": [{"effect": "load_friction", "at": "motor", "fraction": 0.2}]})
+
+
+def plain_pendulum(command: np.ndarray, fraction: float, gravity: float, step: float,
+                   external: float = 1.0) -> np.ndarray:
+    """Angles (n), rad, of the rigid axis as a pendulum with friction of fraction |motor torque - external torque|.
+
+    Written out by hand from Duclusaud et al., semi-implicit Euler: friction is what stops the axis within the step,
+    clipped at its level.  ``external``: share of gravity that counts as load.
+    """
+    inertia, damping, gain = (RIGID_AXIS["motor"][key] for key in ("inertia", "damping", "gain"))
+    angle, speed, rows, each = 0.0, 0.0, [], round(1.0 / (RATE * step))
+    for count in command:
+        rows.append(angle)
+        for _ in range(each):
+            motor, pull = gain * count - damping * speed, -gravity * math.sin(angle)
+            level = fraction * abs(motor - external * pull)
+            friction = min(max(-(inertia / step * speed + motor + pull), -level), level)
+            speed += step / inertia * (motor + pull + friction)
+            angle += step * speed
+    return np.array(rows)
+
+
+def test_load_friction_on_an_axis_agrees_with_a_plain_integration():
+    """Of first order in its step, so that its error halves; with the load taken otherwise it is far off."""
+    command = np.concatenate([np.full(200, 90.0), np.full(150, -40.0), np.zeros(150), np.full(400, 45.0)])
+    zero = np.zeros(command.size)
+    run = Run("pendulum", np.arange(command.size) / RATE, command, command, zero, zero, RunMetadata())
+    rig = Rig.model_validate(RIGID_AXIS).with_effects(
+        [effect_class("gravity_tilt")(at="base", torque=0.6, angle=0.0), effect_class("load_friction")(
+            at="motor", fraction=0.3)])
+    angle = simulate_model(build(rig, longest=5e-5), run, rounding=False).encoder * rig.angle_per_count
+    coarse, fine = (np.abs(plain_pendulum(command, 0.3, 0.6, step) - angle).max() for step in (4e-5, 2e-5))
+    assert 0.45 * coarse < fine < 0.55 * coarse and fine < 1e-4
+    for fraction, external in ((0.3, 0.0), (0.3, -1.0), (0.0, 1.0), (-0.3, 1.0), (0.31, 1.0)):
+        wrong = plain_pendulum(command, fraction, 0.6, 4e-5, external)
+        assert np.abs(wrong - angle).max() > 20.0 * coarse, (fraction, external)
+    assert angle[-1] > 0.3 and np.ptp(angle[-100:]) < 1e-12, "a load that is shared with the motor is held"
 
 
 EQUILIBRIA = [[{"effect": "cable_spring", "at": "base", "stiffness": 0.15, "rest": 0.3},

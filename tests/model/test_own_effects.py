@@ -65,7 +65,7 @@ def test_a_file_brings_its_effect_into_rig_files(tmp_path):
     load_effects(written(tmp_path))
     load_effects(tmp_path / "own.py")   # once only
     rig = Rig.from_toml(text)
-    assert rig.effects[0].name == "own_drag" and build(rig).plan.slots.shape == (1, 4)
+    assert rig.effects[0].name == "own_drag" and build(rig).plan.slots.shape == (1, 5)
 
 
 def test_the_environment_variable_names_files(tmp_path, monkeypatch):

@@ -26,7 +26,7 @@ PARAMETERS = (
     "acc_gain", "acc_offset", "acc_limit", "centripetal", "stuck_bit", "stuck_value",
     # motor
     "coulomb", "static", "stribeck", "stribeck_speed", "load", "drag", "drag_speed", "ripple",
-    "ripple_cycles", "ripple_phase", "drift", "drift_time", "bristle", "bristle_stiffness", "bristle_wave",
+    "axis_gain", "ripple_cycles", "ripple_phase", "drift", "drift_time", "bristle", "bristle_stiffness", "bristle_wave",
     "bristle_cycles", "bristle_phase",
     # base
     "base_coulomb", "base_wave", "base_wave_cycles", "base_wave_phase", "quadratic", "tilt", "tilt_angle",
@@ -47,6 +47,7 @@ ACC_GAIN, ACC_OFFSET, ACC_LIMIT, CENTRI = (INDEX[n] for n in ("acc_gain", "acc_o
 STUCK_BIT, STUCK_VALUE = INDEX["stuck_bit"], INDEX["stuck_value"]
 COULOMB, STATIC, STRIBECK, STRIBECK_W = (INDEX[n] for n in ("coulomb", "static", "stribeck", "stribeck_speed"))
 LOAD, DRAG, DRAG_W = (INDEX[n] for n in ("load", "drag", "drag_speed"))
+AXIS_GAIN = INDEX["axis_gain"]
 RIPPLE, RIPPLE_N, RIPPLE_P = (INDEX[n] for n in ("ripple", "ripple_cycles", "ripple_phase"))
 DRIFT, DRIFT_TIME = INDEX["drift"], INDEX["drift_time"]
 BRISTLE, BRISTLE_K = INDEX["bristle"], INDEX["bristle_stiffness"]
@@ -229,7 +230,7 @@ def run_kernel(
     reference, noise, slip, snag,
     num, den, acc_num, acc_den, kind, accel_zero,
     seg_h, seg_n, seg_encoder, seg_accel, seg_switch, seg_matrix,
-    a_all, b_all, g_all, c_port, c_encoder, c_acc, d_acc,
+    a_all, b_all, g_all, c_port, c_encoder, c_acc, d_acc, c_load,
     par, z, u, nonlinear,
 ):  # fmt: skip
     """One run.
@@ -237,7 +238,8 @@ def run_kernel(
     reference, noise, slip, snag: (n,) counts, counts, counts, 0 or 1. num, den on the error, acc_num,
     acc_den on the accelerometer; kind 0 open, 1 on the error, 2 with the accelerometer. seg_*: (s,) step
     (s), steps, what happens at the start of the piece, which matrix. a_all (m, nz, nz), b_all (m, nz, 7),
-    g_all (m, 10, 7) = c_port b. z (nz,) start state, u the command after the static chain before sample 0.
+    g_all (m, 10, 7) = c_port b. c_load (nz,) motor torque less the beam's torque on the base where there is no
+    drive, axis_gain times u apart. z (nz,) start state, u the command after the static chain before sample 0.
     Returns encoder, accel, command (n,) and the trace at the ticks (n, TRACE).
     """
     n = len(reference)
@@ -263,6 +265,7 @@ def run_kernel(
     bristle, heat = 0.0, 0.0
     dry_m = par[COULOMB] > 0.0 or par[STATIC] > 0.0 or par[LOAD] > 0.0
     dry_b = par[B_COULOMB] > 0.0
+    axis = par[LOAD] != 0.0 and par[DRIVE_K] == 0.0
     time = 0.0
 
     for i in range(n):
@@ -350,6 +353,14 @@ def run_kernel(
                         yb[r] = s
                     for _turn in range(60):
                         drive = smooth_laws(ya, yb, h, par, snag[i] != 0.0, q)
+                        if axis:
+                            # What the gears carry where there is no drive: motor torque less external torque.
+                            drive = par[AXIS_GAIN] * u + q[0] - q[1]
+                            for k in range(nz):
+                                moved = zf[k]
+                                for m in range(6):
+                                    moved += b[k, m] * p[m]
+                                drive += 0.5 * c_load[k] * (z[k] + moved)
                         if par[BRISTLE] > 0.0:
                             w = 0.5 * (ya[W_M] + yb[W_M])
                             top = par[BRISTLE] * (

@@ -60,8 +60,9 @@ def beam_matrices(
 
 def reduced_beam(
     beam: dict[str, Any], tip: dict[str, Any], elements: int = ELEMENTS, modes: int = MODES
-) -> tuple[Array, Array, Array]:
-    """Mass, stiffness and the tip's displacement row over [root rotation, mode 1, ..., mode `modes`].
+) -> tuple[Array, Array, Array, Array]:
+    """Mass, stiffness, and rows of the tip's displacement and of the moment that bends the root, over [root
+    rotation, mode 1, ..., mode `modes`].
 
     With the root's translation fixed, a static root rotation carries the whole beam rigidly: w = x r.
     """
@@ -82,7 +83,7 @@ def reduced_beam(
     basis = np.zeros((2 * elements + 2, 1 + modes))
     basis[:, 0] = rigid
     basis[inner, 1:] = shapes[:, :modes]
-    return basis.T @ mass @ basis, np.diag(np.r_[0.0, squares[:modes]]), basis[-2]
+    return basis.T @ mass @ basis, np.diag(np.r_[0.0, squares[:modes]]), basis[-2], stiffness[1] @ basis
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,7 @@ class Mechanics:
     port: Array  # (PORTS, nq): rows that read a port's position, and along which its force acts
     encoder: Array  # row that the encoder reads
     lift: Array  # (2, nq) columns: q for a unit common rotation, and q for a unit motor twist (motor alone)
+    load: Array  # (2, nq) rows on q and q': torque that the beam takes from the base, and motor.damping times speed
     has_tip: bool
 
 
@@ -118,7 +120,7 @@ def mechanics(
     beam = rig.get("beam")
     n_modes = 0
     if beam:
-        mb, kb, w_tip = reduced_beam(beam, rig.get("tip") or {}, elements, modes)
+        mb, kb, w_tip, bends = reduced_beam(beam, rig.get("tip") or {}, elements, modes)
         n_modes = len(mb) - 1
     names += [f"mode{i}" for i in range(n_modes)]
     names += [n for n in ("second_appendage", "mount_compliance", "tip_rattle") if n in outside]
@@ -164,6 +166,12 @@ def mechanics(
                 body["stiffness"],
                 body["damping"],
             )
+    load = np.zeros((2, size))
+    if beam and clamp:
+        load[0], load[1] = clamp["stiffness"] * (base - root), clamp["damping"] * (base - root)
+    elif beam:
+        load[:, at] = np.outer([1.0, beam["damping"]], bends)
+    load[1] -= rig["motor"]["damping"] * motor
     loose = np.zeros(size)
     if "tip_rattle" in outside:
         loose = e("tip_rattle")
@@ -197,6 +205,7 @@ def mechanics(
         port=np.array([motor, base, root, tip_row, loose]) @ tie,
         encoder=base @ tie,
         lift=lift[:, pick],
+        load=load @ tie,
         has_tip=bool(beam),
     )
 

@@ -40,7 +40,7 @@ CONTROLLERS: dict[str, dict[str, Any]] = {
 _SITES = {  # where an effect may stand, and its parameters
     "coulomb_friction": (("motor", "base"), ("torque",)),
     "stribeck_friction": (("motor",), ("static_torque", "coulomb_torque", "stribeck_velocity")),
-    "load_friction": (("drive",), ("fraction",)),
+    "load_friction": (("drive", "motor"), ("fraction",)),
     "sublinear_drag": (("motor",), ("coefficient", "speed")),
     "quadratic_drag": (("base",), ("coefficient",)),
     "torque_ripple": (("motor",), ("amplitude", "cycles", "phase")),
@@ -98,6 +98,8 @@ def check_effects(rig: RigDict, effects: Sequence[Effect]) -> None:
             raise ValueError(f"{name} at {at!r}: unknown, or parameters {sorted(keys)} do not fit")
         elif at in ("drive", "clamp", "accelerometer") and not rig.get(at):
             raise ValueError(f"{name}: this rig has no {at}")
+        elif (name, at) == ("load_friction", "motor") and rig.get("drive"):
+            raise ValueError(f"{name}: this rig has a drive, which carries the load")
         if (name, at) in seen:
             raise ValueError(f"{name} at {at}: more than once")
         seen.add((name, at))
@@ -250,7 +252,8 @@ class Truth:
             "static": get("stribeck_friction", "motor", "static_torque"),
             "stribeck": get("stribeck_friction", "motor", "coulomb_torque"),
             "stribeck_speed": get("stribeck_friction", "motor", "stribeck_velocity", 1.0),
-            "load": get("load_friction", "drive", "fraction"),
+            "load": get("load_friction", "drive" if rig.get("drive") else "motor", "fraction"),
+            "axis_gain": 0.0 if system.lag_state >= 0 else self.gain,
             "drag": get("sublinear_drag", "motor", "coefficient"),
             "drag_speed": get("sublinear_drag", "motor", "speed", 1.0),
             "ripple": get("torque_ripple", "motor", "amplitude"),
@@ -303,6 +306,10 @@ class Truth:
         self.a = np.ascontiguousarray([a for a, _ in steps])
         self.b = np.ascontiguousarray([b for _, b in steps])
         self.g = np.ascontiguousarray([system.c_port @ b for _, b in steps])
+        self.c_load = np.zeros(len(system.a))
+        self.c_load[: 2 * system.nq] = mech.load.ravel()
+        if system.lag_state >= 0:
+            self.c_load[system.lag_state] = self.gain
         self.has_accelerometer = accelerometer is not None
 
     def _twist(self, torque: float, place: float) -> float:
@@ -337,7 +344,8 @@ class Truth:
         has_drive = p["drive_k"] > 0.0
         dry_m, dry_b = p["coulomb"] + p["static"], p["base_coulomb"]
         if not has_drive:
-            if abs(motor_torque(start_angle) + base_torque(start_angle)) <= dry_m + dry_b:
+            load = abs(motor_torque(start_angle) - base_torque(start_angle))
+            if abs(motor_torque(start_angle) + base_torque(start_angle)) <= dry_m + p["load"] * load + dry_b:
                 return start_angle, start_angle
         else:
             passed = -base_torque(start_angle)  # the base balanced, the motor's friction holds the rest
@@ -450,6 +458,7 @@ class Truth:
             s.c_encoder,
             s.c_acc,
             s.d_acc,
+            self.c_load,
             par,
             self.start_state(start, start_angle, gap_place),
             self.par["bias"],

@@ -29,6 +29,8 @@ def names(rig: RigDict) -> list[tuple[str, str]]:
     missing = {t for t in ("drive", "clamp", "accelerometer") if not rig.get(t)}
     if not rig.get("beam"):
         missing |= {"clamp", "accelerometer"}
+    if rig.get("drive"):
+        return [(name, at) for name, at in CATALOGUE if at not in missing and (name, at) != ("load_friction", "motor")]
     return [(name, at) for name, at in CATALOGUE if at not in missing]
 
 

@@ -13,7 +13,7 @@ stage          x, v, w                                 result                   
 =============  ======================================  =============================  =====================
 COMMAND        command, 0, amplifier.limit (counts)    command, mean over h           in order of ``order``
 TORQUE         angle, speed of the part, 0             torque on it, N m              motor, base
-FRICTION       |speed|, 0, |drive torque| (N m)        level >= 0, N m; x = 0: held   motor, base, drive
+FRICTION       |speed|, 0, load on the gears (N m)     level >= 0, N m; x = 0: held   motor, base, drive
 GAP            deflection, 0, 0 (rad)                  what exceeds the gap, rad      drive
 SPRING         deflection beyond the gap, speed, 0     torque added, N m              drive, clamp
 ACCEL_INPUT    base speed, 0, beam.length              added acceleration, m/s^2      accelerometer
@@ -22,9 +22,10 @@ ACCEL_COUNTS   reading with its offset, 0, 0 (counts)  reading, counts          
 ENCODER        base angle, 0, 0                        counts added                   encoder
 =============  ======================================  =============================  =====================
 
-Friction at the drive acts on the motor.  The three DELAY stages and CLOCK have no law: their one parameter is read by
-the stepper's set-up.  Torques are solved for by iteration, so that their laws are called several times in a step and
-have no states.
+Friction at the drive acts on the motor; its load is the size of the drive's torque.  A friction that may stand at the
+drive or, on a rig without one, at the motor has as its load there |motor torque - external torque|.  The three DELAY
+stages and CLOCK have no law: their one parameter is read by the stepper's set-up.  Torques are solved for by iteration,
+so that their laws are called several times in a step and have no states.
 """
 
 from __future__ import annotations
