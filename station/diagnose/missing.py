@@ -22,14 +22,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from station.diagnose.noise import QUANTISATION, noise_sigmas, rest_rows
+from station.estimation.noise import QUANTISATION, noise_sigmas, rest_rows
 from station.errors import UsageError
 from station.model import stepper
 from station.model.assembly import Assembly, torque_input
 from station.model.compiled import njit
 from station.model.effects import Effect, Stage
 from station.model.effects.base import torque_scale
-from station.model.modal import ModalForm, modal_form
+from station.model.modal import ModalForm, dense, modal_form
 from station.model.simulate import Model, build, controller_arrays, initial_state
 from station.rig import Rig
 from station.runs.run import Run
@@ -193,11 +193,6 @@ def _driven(model: Model, run: Run, start: float, offset: float) -> tuple[tuple[
     return (encoder, accel), _Motion(full[:, :size], full[:, size:])
 
 
-def _dense(blocks: np.ndarray) -> np.ndarray:
-    """Blocks (4, b) as one matrix (2b, 2b)."""
-    return np.block([[np.diag(blocks[0]), np.diag(blocks[1])], [np.diag(blocks[2]), np.diag(blocks[3])]])
-
-
 def _ports(rig: Rig, parts: Assembly, form: ModalForm, port: np.ndarray, period: float,
            channels: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Response of the modes to 1 N m held over a period (2b), output rows (channels, 2b), and outputs at once."""
@@ -206,9 +201,9 @@ def _ports(rig: Rig, parts: Assembly, form: ModalForm, port: np.ndarray, period:
     rows, feed = [form.basis[parts.base] / rig.angle_per_count], [0.0]
     if channels == 2 and rig.accelerometer is not None and parts.tip is not None:
         tip = rig.accelerometer.gain * form.basis[n + parts.tip]
-        rows.append(tip @ _dense(form.function(lambda z: z, 1.0)))
+        rows.append(tip @ dense(form.function(lambda z: z, 1.0)))
         feed.append(float(tip @ force))
-    return _dense(form.integral(period)) @ force, np.array(rows), np.array(feed)
+    return dense(form.integral(period)) @ force, np.array(rows), np.array(feed)
 
 
 def _system(rig: Rig, parts: Assembly, form: ModalForm, port: np.ndarray, run: Run, period: float,
@@ -221,7 +216,7 @@ def _system(rig: Rig, parts: Assembly, form: ModalForm, port: np.ndarray, run: R
     held, rows, feed = _ports(rig, parts, form, port, period, channels)
     size = modes + channels
     f, h, noise, start = np.zeros((size, size)), np.zeros((channels, size)), np.zeros((size, 2)), np.zeros((size, size))
-    f[:modes, :modes], f[:modes, modes], f[modes, modes] = _dense(form.exponential(period)), held, 1.0
+    f[:modes, :modes], f[:modes, modes], f[modes, modes] = dense(form.exponential(period)), held, 1.0
     h[:, :modes], h[:, modes] = rows, feed
     noise[:modes, 0], noise[modes, 0] = held, 1.0
     spread = [parts.rigid * rig.angle_per_count]

@@ -70,6 +70,11 @@ def apply(blocks: np.ndarray, vector: np.ndarray) -> np.ndarray:
     return np.concatenate([a * one + b * two, c * one + d * two])
 
 
+def dense(blocks: np.ndarray) -> np.ndarray:
+    """Blocks (4, b) as one matrix (2b, 2b)."""
+    return np.block([[np.diag(blocks[0]), np.diag(blocks[1])], [np.diag(blocks[2]), np.diag(blocks[3])]])
+
+
 @njit(cache=True)
 def _blocks(kind, first, second, derivative):
     """(4, b) of blocks by their kind; ``first``, ``second`` (b): the function of their eigenvalues."""

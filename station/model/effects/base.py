@@ -169,6 +169,11 @@ class Effect(BaseModel):
         raise NotImplementedError(f"{cls.__name__}.guesses")
 
     @classmethod
+    def largest(cls, rig: Rig, at: str) -> dict[str, float]:
+        """Sizes beyond which the law would be another thing than its name says, by parameter; {} where none is."""
+        return {}
+
+    @classmethod
     def fits(cls, rig: Rig, at: str) -> bool:
         """Whether the rig has what the effect acts on; without a drive motor and base turn as one."""
         tables = {"amplifier": "motor", "clock": "motor"} | ({"base": "motor"} if rig.drive is None else {})

@@ -27,6 +27,11 @@ class EncoderEccentricity(Effect):
     phase: float = parameter("rad", -math.pi, math.pi, periodic=True)
 
     @classmethod
+    def largest(cls, rig, at):
+        """A tenth of the disc's radius out of centre (sin e/R): beyond it no track would stay under its reader."""
+        return {"amplitude": 0.1 * rig.encoder.counts_per_revolution / (2.0 * math.pi)}
+
+    @classmethod
     def guesses(cls, rig, at):
         return [{"amplitude": size, "phase": phase}
                 for size in (2.0, 10.0) for phase in (0.0, 0.5 * math.pi, math.pi, -0.5 * math.pi)]

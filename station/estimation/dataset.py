@@ -1,0 +1,136 @@
+"""Runs as an estimator sees them: what was read, how exactly, and what each run leaves unknown."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from station.estimation.noise import QUANTISATION, noise_sigmas, rest_rows, rounding_shares
+from station.rig import Rig
+from station.runs.run import Run
+
+ELEMENTS = 8
+"""Fewest beam elements of the fits: with fewer the mesh's own error would look like physics."""
+SEGMENT = 1.0
+"""Length of the stretches that are drawn again when data are resampled, s: longer than what an arm's errors remember."""
+SEGMENTS = 40
+"""Most stretches in all runs together; they grow longer instead."""
+RESTS = 100
+"""Most rows at rest from which a starting angle is taken."""
+UNROUNDED = 0.3
+"""Noise of an encoder, counts, from which on its rounding errors are independent from sample to sample (Widrow)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """A nominal rig and its runs; c channels (encoder, accelerometer)."""
+
+    rig: Rig
+    runs: tuple[Run, ...]
+    windows: tuple[slice, ...]
+    """The rows of each run that count."""
+    measured: tuple[np.ndarray, ...]
+    """Per run (2, n), counts; the second row is 0 where there is no accelerometer."""
+    share: tuple[np.ndarray, ...]
+    """Per run (c, n): independent errors per sample."""
+    noise: tuple[float, float]
+    """Standard deviation before rounding of encoder and accelerometer, counts."""
+    noise_rows: int
+    start: np.ndarray
+    """(runs) starting angle as read, rad."""
+    offset: np.ndarray
+    """(runs) the accelerometer's offset as read at rest, counts."""
+    zero_group: tuple[int, ...]
+    clock: tuple[float, float] | None
+    segment: tuple[np.ndarray, ...]
+    """Per run (n): the number of each row's stretch, counted over all runs."""
+    segment_run: np.ndarray
+    """(stretches) the run of each."""
+
+    @property
+    def channels(self) -> int:
+        """1 without an accelerometer, else 2."""
+        return self.share[0].shape[0]
+
+    @property
+    def has_accel(self) -> bool:
+        """Whether the accelerometer is among the channels."""
+        return self.channels == 2
+
+    @property
+    def sigma(self) -> np.ndarray:
+        """(c) standard deviation of a reading, rounding included, counts."""
+        return np.sqrt(np.square(self.noise[: self.channels]) + QUANTISATION)
+
+    @property
+    def counts(self) -> np.ndarray:
+        """(runs, c) independent errors of the sensors."""
+        return np.array([share.sum(axis=1) for share in self.share])
+
+
+def canonical_order(runs: Sequence[Run]) -> list[int]:
+    """The order of runs by their content, so that nothing depends on the order in which files are named."""
+    def digest(run: Run) -> str:
+        parts = [run.t, run.reference, run.command, run.encoder, *([] if run.accel is None else [run.accel])]
+        return hashlib.sha256(b"".join(np.ascontiguousarray(p, dtype=float).tobytes() for p in parts)).hexdigest()
+    return sorted(range(len(runs)), key=lambda i: (digest(runs[i]), runs[i].name))
+
+
+def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = None) -> Dataset:
+    """Prepare runs; ``windows``: the rows of each run that count (all of them by default)."""
+    kept = tuple(windows) if windows is not None else (slice(None),) * len(runs)
+    encoder, accel, rows = noise_sigmas(list(runs))
+    has_accel = rig.accelerometer is not None and all(r.accel is not None for r in runs)
+    groups = list(dict.fromkeys(zero_ids := [r.metadata.zero_id or f"own {i}" for i, r in enumerate(runs)]))
+    total = sum(len(r.t) / r.sample_rate for r in runs)
+    length = max(SEGMENT, total / SEGMENTS)
+    segment, owner = [], []
+    for i, run in enumerate(runs):
+        count = max(round(len(run.t) / run.sample_rate / length), 1)
+        segment.append(len(owner) + np.arange(len(run.t)) * count // len(run.t))
+        owner += [i] * count
+    return Dataset(
+        rig.with_elements(ELEMENTS), tuple(runs), kept,
+        tuple(np.stack([r.encoder, r.accel if has_accel else np.zeros_like(r.encoder)]).astype(float) for r in runs),
+        tuple(_shares(r, w, encoder, 2 if has_accel else 1) for r, w in zip(runs, kept, strict=True)),
+        (encoder, accel), rows,
+        np.array([float(np.mean(r.encoder[: max(min(rest_rows(r), RESTS), 1)])) * rig.angle_per_count for r in runs]),
+        np.array([float(np.mean(r.accel[: max(rest_rows(r), 1)])) if has_accel else 0.0 for r in runs]),
+        tuple(groups.index(z) for z in zero_ids), clock_evidence(runs), tuple(segment), np.array(owner))
+
+
+def _shares(run: Run, window: slice, noise: float, channels: int) -> np.ndarray:
+    """Independent errors per sample (channels, n).
+
+    While the encoder stands still its rounding error stands still too, so that many samples say no more than one.
+    """
+    rounded = np.ones_like(run.encoder) if noise > UNROUNDED else rounding_shares(run.encoder)
+    share = np.stack([rounded, np.ones_like(rounded)])[:channels]
+    counts = np.zeros(len(rounded))
+    counts[window] = 1.0
+    return share * counts
+
+
+def clock_evidence(runs: Sequence[Run]) -> tuple[float, float] | None:
+    """True over nominal sample period and its standard error, by regression of host_time on device_time.
+
+    None where no run has both; a simulated device's virtual time is no clock.  The error is taken from the scatter of
+    the residuals and, since receipt is never early, is not allowed below 20 parts per million.
+    """
+    slopes, weights = [], []
+    for run in runs:
+        virtual = getattr(run.metadata, "clock", None) == "virtual"
+        if run.host_time is None or run.device_time is None or virtual:
+            continue
+        x, y = run.device_time - run.device_time.mean(), run.host_time - run.host_time.mean()
+        slope = float(x @ y / (x @ x))
+        spread = float(np.std(y - slope * x)) / math.sqrt(float(x @ x))
+        slopes.append(slope)
+        weights.append(max(spread, 2e-5) ** -2)
+    if not slopes:
+        return None
+    return float(np.average(slopes, weights=weights)), float(np.sum(weights)) ** -0.5

@@ -1,0 +1,396 @@
+"""Fitting one hypothesis: Levenberg-Marquardt with priors, per-run nuisances eliminated.
+
+With errors e, Jacobian J and weights W = N/max(S, n)/T of the blocks (see ``likelihood``), a run adds the normal matrix
+J'WJ and the gradient J'We; its starting angle and the accelerometer's offset are eliminated from both (Schur's
+complement).  Derivatives may be handed over from a neighbouring hypothesis; after each step they are corrected by what
+the step did (Broyden 1965), and computed afresh where that does not lead on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from station.estimation.likelihood import (
+    Weighing,
+    block_counts,
+    block_scale,
+    blocks_independent,
+    cost,
+    nuisance_precision,
+    temperature,
+)
+from station.estimation.parameters import Parameters
+from station.estimation.prediction import Predictor
+
+LOST = (ArithmeticError, np.linalg.LinAlgError)
+"""What a fit raises that went where nothing simulates."""
+STEP = 2e-3
+"""Finite-difference step in whitened or logarithmic coordinates."""
+PLACE_STEP = 0.02
+"""Finite-difference step of the motor's place in a gap (artanh of its share)."""
+OFFSET_STEP = 0.1
+"""Finite-difference step of the accelerometer's offset, counts; of the starting angle half a count."""
+LONGEST = 2.0
+"""Longest step in any coordinate, prior sigmas or logarithm."""
+DAMPING, LEAST_DAMPING = 1e-2, 1e-6
+"""First and least damping, in units of the information itself (Marquardt 1963)."""
+TRIES = 6
+POOR = 0.5
+"""Share of the predicted gain below which derivatives are computed afresh."""
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """What the data say about the parameters near a fit, by stretch s of time and block b: any weights, any resample.
+
+    Columns of M and v: the p parameters, then the nuisances of the stretch's run.
+    """
+
+    squares: np.ndarray
+    """(s, b) sum of squared scaled errors."""
+    counts: np.ndarray
+    """(s, b) independent errors of the sensors."""
+    normal: np.ndarray
+    """(s, b, p + c, p + c) J'J."""
+    gradient: np.ndarray
+    """(s, b, p + c) J'e."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A fitted hypothesis."""
+
+    space: Parameters
+    x: np.ndarray
+    start: np.ndarray
+    """(runs) rad."""
+    offset: np.ndarray
+    """(runs) counts."""
+    away: np.ndarray
+    """(runs, c) of start and offset from what was read."""
+    objective: float
+    """-2 ln of likelihood (tempered) times priors."""
+    squares: np.ndarray
+    """(runs, b) sums of squared scaled errors."""
+    residuals: list[np.ndarray]
+    """Per run (b, n), scaled."""
+    predicted: list[np.ndarray]
+    """Per run (b, n), counts."""
+    jacobian: list[np.ndarray] | None
+    """Per run (p + c, b, n), scaled; None where it was let go."""
+    information: Information
+    weighing: Weighing
+    nuisance: np.ndarray
+    """(c) prior precisions."""
+    owner: np.ndarray
+    """(s) the run of each stretch."""
+
+    @property
+    def key(self) -> frozenset[tuple[str, str]]:
+        """The causes."""
+        return self.space.hypothesis.key
+
+    @property
+    def logs(self) -> np.ndarray:
+        """Logarithms of constants over their nominal values."""
+        return self.space.logs(self.x)
+
+    @property
+    def light(self) -> Fit:
+        """The same without derivatives, which take memory."""
+        return replace(self, jacobian=None)
+
+    def blocks(self, weighing: Weighing, drawn: np.ndarray | None = None) -> np.ndarray:
+        """(runs, b) weights W of the blocks at this fit; ``drawn`` (s): how often each stretch counts."""
+        squares, counts, independent = self.drawn(weighing, drawn)
+        return independent / np.maximum(squares, counts) / weighing.temperature
+
+    def drawn(self, weighing: Weighing, drawn: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Squares, counts and independent errors (runs, b) of a resample."""
+        info, runs = self.information, len(self.squares)
+        many = np.ones(len(self.owner)) if drawn is None else drawn
+        sums = np.zeros((runs, *info.squares.shape[1:])), np.zeros((runs, *info.counts.shape[1:]))
+        np.add.at(sums[0], self.owner, many[:, None] * info.squares)
+        np.add.at(sums[1], self.owner, many[:, None] * info.counts)
+        whole = np.zeros_like(sums[1])
+        np.add.at(whole, self.owner, info.counts)
+        counts = np.maximum(sums[1], 1e-9)
+        return sums[0], counts, weighing.independent * counts / np.maximum(whole, 1e-9)
+
+    def normal(self, weighing: Weighing, drawn: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Normal matrix (p, p) and gradient (p) of the data, nuisances eliminated."""
+        info, p = self.information, self.space.size
+        w = self.blocks(weighing, drawn)[self.owner] * (1.0 if drawn is None else drawn[:, None])
+        total, slope = np.zeros((p, p)), np.zeros(p)
+        matrices = np.einsum("sb,sbij->sij", w, info.normal)
+        slopes = np.einsum("sb,sbi->si", w, info.gradient)
+        for r in range(len(self.squares)):
+            m, v = matrices[self.owner == r].sum(axis=0), slopes[self.owner == r].sum(axis=0)
+            inner = m[p:, p:] + np.diag(self.nuisance)
+            solved = np.linalg.solve(inner, np.column_stack([m[p:, :p], v[p:] - self.nuisance * self.away[r]]))
+            total += m[:p, :p] - m[:p, p:] @ solved[:, :p]
+            slope += v[:p] - m[:p, p:] @ solved[:, p]
+        return total, slope
+
+    @cached_property
+    def precision(self) -> np.ndarray:
+        """Posterior precision (p, p) under the fit's own weighing."""
+        return self.normal(self.weighing)[0] + np.diag(self.space.precision)
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Posterior covariance (p, p)."""
+        return np.linalg.pinv(self.precision, hermitian=True)
+
+    def log_evidence(self, weighing: Weighing, drawn: np.ndarray | None = None) -> float:
+        """Laplace's approximation of ln p(data | hypothesis), up to a constant of the data.
+
+        Under another weighing, or of a resample, one Gauss-Newton step is taken from the fit.
+        """
+        prior, delta = self.space.precision, self.x - self.space.mean
+        squares, counts, independent = self.drawn(weighing, drawn)
+        normal, slope = self.normal(weighing, drawn)
+        matrix, force = normal + np.diag(prior), slope - prior * delta
+        gained = float(force @ np.linalg.solve(matrix, force))
+        value = (cost(squares, counts, independent) / weighing.temperature + float(prior @ delta**2)
+                 + float(np.sum(self.nuisance * self.away**2)) - min(gained, MOST_GAINED))
+        return -0.5 * value + 0.5 * float(np.sum(np.log(prior))) - 0.5 * float(np.linalg.slogdet(matrix)[1])
+
+
+MOST_GAINED = 20.0
+"""What a step that is not simulated may promise of the objective."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    x: np.ndarray
+    start: np.ndarray
+    offset: np.ndarray
+    predicted: list[np.ndarray]
+    residuals: list[np.ndarray]
+    squares: np.ndarray
+    objective: float
+
+
+class _Descent:
+    """What a fit needs: predictions, parameters, weighing and the weights of the runs."""
+
+    def __init__(self, predictor: Predictor, space: Parameters, weighing: Weighing, runs: np.ndarray,
+                 parallel: bool) -> None:
+        self.predictor, self.space, self.weighing, self.runs, self.parallel = predictor, space, weighing, runs, parallel
+        data = self.data = predictor.data
+        self.scale = [block_scale(data, r, predictor.blocks) for r in range(len(data.runs))]
+        repeats = (predictor.blocks // data.channels, 1)
+        self.measured = [np.tile(m[: data.channels], repeats) for m in data.measured]
+        self.counts = block_counts(data, predictor.blocks)
+        self.nuisance = nuisance_precision(data)
+        self.steps = np.full(space.size + data.channels, STEP)
+        self.steps[space.parts["places"]] = PLACE_STEP
+        self.steps[space.size:] = [0.5 * data.rig.angle_per_count, OFFSET_STEP][: data.channels]
+
+    def away(self, start: np.ndarray, offset: np.ndarray) -> np.ndarray:
+        return np.stack([start - self.data.start, offset - self.data.offset], axis=1)[:, : self.data.channels]
+
+    def at(self, x: np.ndarray, start: np.ndarray, offset: np.ndarray) -> _Point:
+        """Predict, and judge."""
+        predicted = self.predictor.runs(self.space, x, start, offset, parallel=self.parallel)
+        with np.errstate(over="ignore", invalid="ignore"):
+            residuals = [(m - y) * s for m, y, s in zip(self.measured, predicted, self.scale, strict=True)]
+            squares = np.array([np.sum(e * e, axis=1) for e in residuals])
+        value = cost(squares[self.runs > 0.0], self.counts[self.runs > 0.0],
+                     (self.runs[:, None] * self.weighing.independent)[self.runs > 0.0]) / self.weighing.temperature
+        value += float(self.space.precision @ (x - self.space.mean) ** 2)
+        value += float(np.sum(self.nuisance * self.away(start, offset) ** 2))
+        return _Point(x, start, offset, predicted, residuals, squares, value if np.all(np.isfinite(squares)) else np.inf)
+
+    def column(self, here: _Point, k: int) -> list[np.ndarray]:
+        """Derivatives of the scaled predictions by one parameter or nuisance, per run; 0 where none is simulated.
+
+        Sticking makes outputs kinked: what counts is the difference over a step, so steps are not tiny.
+        """
+        p = self.space.size
+        for way in (1.0, -1.0):
+            x, start, offset, step = here.x, here.start, here.offset, way * self.steps[k]
+            if k < p:
+                x = x.copy()
+                x[k] += step
+            elif k == p:
+                start = start + step
+            else:
+                offset = offset + step
+            moved = self.predictor.runs(self.space, x, start, offset)
+            if all(np.all(np.isfinite(y)) for y in moved):
+                return [(y - y0) * s / step for y, y0, s in zip(moved, here.predicted, self.scale, strict=True)]
+        return [np.zeros_like(y) for y in here.predicted]
+
+    def jacobian(self, here: _Point, only: slice | None = None) -> list[np.ndarray]:
+        """Per run (p + c, b, n); a motor's place in a gap moves its own run alone."""
+        p, places = self.space.size, self.space.parts["places"]
+        wanted = range(p + self.data.channels) if only is None else range(*only.indices(p))
+        shared = [k for k in wanted if not places.start <= k < places.stop]
+        if self.space.gap_places:
+            moved = _Point(here.x.copy(), here.start, here.offset, here.predicted, here.residuals, here.squares, 0.0)
+        found = dict(zip(shared, (self.predictor.pool.map if self.parallel else map)(
+            lambda k: self.column(here, k), shared), strict=True))
+        if self.space.gap_places:
+            moved.x[places] += PLACE_STEP
+            outputs = self.predictor.runs(self.space, moved.x, here.start, here.offset)
+            changes = [(y - y0) * s / PLACE_STEP for y, y0, s in zip(outputs, here.predicted, self.scale, strict=True)]
+        rows = []
+        for r, y in enumerate(here.predicted):
+            out = np.zeros((p + self.data.channels, *y.shape))
+            for k in wanted:
+                out[k] = found[k][r] if k in found else changes[r] if k - places.start == r else 0.0
+            rows.append(out)
+        return rows
+
+    def normal(self, here: _Point, jac: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
+        """Normal matrix and force of the objective, and what gives the nuisances back: per run (c, p + 1)."""
+        p, prior = self.space.size, self.space.precision
+        matrix, force, back = np.diag(prior).copy(), -prior * (here.x - self.space.mean), []
+        w = (self.weighing.independent / np.maximum(here.squares, self.counts) / self.weighing.temperature
+             * self.runs[:, None])
+        away = self.away(here.start, here.offset)
+        for r, (j, e) in enumerate(zip(jac, here.residuals, strict=True)):
+            root = np.sqrt(np.maximum(w[r], 1e-12))[:, None]
+            flat = (j * root).reshape(len(j), -1)
+            m, v = flat @ flat.T, flat @ (e * root).ravel()
+            inner = m[p:, p:] + np.diag(self.nuisance)
+            solved = np.linalg.solve(inner, np.column_stack([m[p:, :p], v[p:] - self.nuisance * away[r]]))
+            matrix += m[:p, :p] - m[:p, p:] @ solved[:, :p]
+            force += v[:p] - m[:p, p:] @ solved[:, p]
+            back.append(solved)
+        return matrix, force, back
+
+    def step(self, here: _Point, matrix: np.ndarray, force: np.ndarray, back: list[np.ndarray]) -> _Point | None:
+        """The point one damped Gauss-Newton step away."""
+        step = np.linalg.solve(matrix, force)
+        if not np.all(np.isfinite(step)):
+            return None
+        step *= min(1.0, LONGEST / max(np.max(np.abs(step)), 1e-300))
+        nuisance = np.array([b[:, -1] - b[:, :-1] @ step for b in back])
+        count = self.data.rig.angle_per_count
+        start = np.clip(here.start + nuisance[:, 0], self.data.start - count, self.data.start + count)
+        return self.at(here.x + step, start, here.offset + nuisance[:, 1] if self.data.has_accel else here.offset)
+
+    def information(self, here: _Point, jac: list[np.ndarray]) -> Information:
+        """Sums over the stretches."""
+        data, stretches = self.data, len(self.data.segment_run)
+        size, blocks = len(jac[0]), self.predictor.blocks
+        squares, counts = np.zeros((stretches, blocks)), np.zeros((stretches, blocks))
+        normal, gradient = np.zeros((stretches, blocks, size, size)), np.zeros((stretches, blocks, size))
+        for r, (j, e) in enumerate(zip(jac, here.residuals, strict=True)):
+            share = np.tile(data.share[r], (blocks // data.channels, 1))
+            edges = np.flatnonzero(np.diff(data.segment[r], prepend=-1))
+            for s, (begin, end) in zip(data.segment[r][edges], zip(edges, [*edges[1:], len(data.segment[r])],
+                                                                   strict=True), strict=True):
+                part = np.ascontiguousarray(j[:, :, begin:end].transpose(1, 0, 2))
+                squares[s], counts[s] = np.sum(e[:, begin:end] ** 2, axis=1), share[:, begin:end].sum(axis=1)
+                normal[s] = part @ part.transpose(0, 2, 1)
+                gradient[s] = np.einsum("bkn,bn->bk", part, e[:, begin:end])
+        return Information(squares, counts, normal, gradient)
+
+
+def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarray, start: np.ndarray | None = None,
+        offset: np.ndarray | None = None, *, iterations: int = 25, tolerance: float = 0.1,
+        runs: np.ndarray | None = None, jacobian: list[np.ndarray] | None = None, renewals: int = 100,
+        parallel: bool = True) -> Fit:
+    """Minimise the objective from ``x``; ``tolerance`` is the fall of it that ends the fit.
+
+    ``runs`` (runs): weights, of which 0 leaves a run out; its nuisances follow all the same.  ``jacobian`` (per run
+    (p + c, b, n)) starts the quick way; where it leads no further the derivatives are computed afresh, at most
+    ``renewals`` times.  ``parallel`` spreads the work over the predictor's threads; not from one of them.
+    ArithmeticError: the start does not simulate.
+    """
+    data = predictor.data
+    descent = _Descent(predictor, space, weighing, np.ones(len(data.runs)) if runs is None else runs, parallel)
+    here = descent.at(x, data.start.copy() if start is None else start, data.offset.copy() if offset is None else offset)
+    if not np.isfinite(here.objective):
+        raise ArithmeticError("the fit's start does not simulate")
+    fresh = jacobian is None
+    if jacobian is None:
+        jac = descent.jacobian(here)
+    else:
+        jac = [j.copy() for j in jacobian]
+        for j, new in zip(jac, descent.jacobian(here, slice(len(space.paths), space.size)), strict=True):
+            j[len(space.paths): space.size] = new[len(space.paths): space.size]
+    damping = DAMPING
+    for _ in range(iterations):
+        matrix, force, back = descent.normal(here, jac)
+        found, metric = None, np.diag(np.diag(matrix))
+        for _ in range(TRIES if fresh else 3):
+            trial = descent.step(here, matrix + damping * metric, force, back)
+            if trial is not None and trial.objective < here.objective:
+                found = trial
+                break
+            damping *= 10.0
+        gain, ratio = 0.0, 0.0
+        if found is not None:
+            step = found.x - here.x
+            gain = here.objective - found.objective
+            ratio = gain / max(float(2.0 * force @ step - step @ matrix @ step), 1e-300)
+            damping = max(damping / 10.0, LEAST_DAMPING)
+            _broyden(jac, here, found, descent)
+            here, fresh = found, False
+        if gain >= tolerance and (ratio > POOR or renewals <= 0):
+            continue
+        if renewals <= 0 or (gain < tolerance and fresh) or (gain < tolerance and found is not None and ratio > POOR):
+            break
+        jac, fresh, renewals = descent.jacobian(here), True, renewals - 1
+    return Fit(space, here.x, here.start, here.offset, descent.away(here.start, here.offset), here.objective,
+               here.squares, here.residuals, here.predicted, jac, descent.information(here, jac), weighing,
+               descent.nuisance, data.segment_run)
+
+
+def _broyden(jac: list[np.ndarray], old: _Point, new: _Point, descent: _Descent) -> None:
+    """Correct Jacobians (per run) so that they give what a step did; nuisances in units of their priors."""
+    units = np.concatenate([np.ones(descent.space.size), np.sqrt(descent.nuisance)])
+    for r, j in enumerate(jac):
+        nuisances = [new.start[r] - old.start[r], new.offset[r] - old.offset[r]][: len(descent.nuisance)]
+        step = np.concatenate([new.x - old.x, nuisances])
+        norm = float(np.sum((step * units) ** 2))
+        if norm > 1e-12:
+            change = (new.predicted[r] - old.predicted[r]) * descent.scale[r]
+            j += (step * units**2 / norm)[:, None, None] * (change - np.tensordot(step, j, 1))[None]
+
+
+def inherited(parent: Fit, space: Parameters) -> list[np.ndarray]:
+    """A parent's derivatives by the constants and nuisances, in another hypothesis' coordinates; the others are 0."""
+    assert parent.jacobian is not None
+    old, n = parent.space, len(space.paths)
+    transform = np.linalg.solve(old.root, space.root)
+    found = []
+    for j in parent.jacobian:
+        out = np.zeros((space.size + len(j) - old.size, *j.shape[1:]))
+        out[:n] = np.tensordot(transform.T, j[:n], 1)
+        out[space.size:] = j[old.size:]
+        found.append(out)
+    return found
+
+
+def weighing_of(predictor: Predictor, found: Fit, blocks: np.ndarray | None = None) -> Weighing:
+    """What the blocks count for where a fit's errors are taken for what a model of this rig leaves."""
+    data = predictor.data
+    independent = blocks_independent(data, found.residuals) if blocks is None else blocks
+    cold = Weighing(independent, 1.0)
+    curvature, _ = found.normal(cold)
+    slopes = _stretch_slopes(found, cold)
+    return Weighing(independent, temperature(curvature, slopes.T @ slopes, found.space.precision))
+
+
+def _stretch_slopes(found: Fit, weighing: Weighing) -> np.ndarray:
+    """(s, p) slope of the likelihood in every stretch, nuisances eliminated run by run."""
+    info, p = found.information, found.space.size
+    w = found.blocks(weighing)[found.owner]
+    matrices = np.einsum("sb,sbij->sij", w, info.normal)
+    slopes = np.einsum("sb,sbi->si", w, info.gradient)
+    out = np.zeros((len(slopes), p))
+    for r in range(len(found.squares)):
+        own = found.owner == r
+        m = matrices[own].sum(axis=0)
+        take = np.linalg.solve(m[p:, p:] + np.diag(found.nuisance), m[p:, :p])
+        out[own] = slopes[own][:, :p] - slopes[own][:, p:] @ take
+    return out

@@ -1,0 +1,86 @@
+"""Observers whose memory is a given time: what makes a simulation a prediction that far ahead.
+
+A steady Kalman filter of the linear rig, fed by the encoder alone, that takes what it missed for a torque at the motor
+(Gauss-Markov, with the horizon as its correlation time).  The torque's size, the one number left, is chosen so that a
+wrong angle is forgotten after the horizon: the integral over time of what a unit error of the angle leaves equals it.
+An infinite horizon is the simulation driven by the logged command (output error).  Ljung, System Identification (2nd
+ed., 1999), sections 3.2 (k-step-ahead predictors), 4.3 (innovations form) and 13.4 (direct method).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from station.estimation.noise import QUANTISATION
+from station.model.assembly import torque_input
+from station.model.modal import dense
+from station.model.simulate import Model, build
+from station.rig import Rig
+
+HORIZONS = (0.05, 0.5, math.inf)
+"""Seconds: what a torque does at once, what it does over a few swings of an arm, and whole runs."""
+ROUNDS = 30
+"""Halvings of the logarithm of the torque's size."""
+SIZES = (1e-4, 1e7)
+"""Counts of command between which it is looked for."""
+LASTS = 12.0
+"""Horizons after which nothing is left of an error that is forgotten after one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Observer:
+    """Gains per count of the encoder's prediction error."""
+
+    horizon: float
+    state: np.ndarray
+    """(2 n) on coordinates and speeds, rad, m, rad/s, m/s."""
+    torque: float
+    """On the disturbance, counts of command."""
+    decay: float
+    """Of the disturbance from one sample to the next."""
+
+
+def observers(rig: Rig, noise: float, horizons: Sequence[float] = HORIZONS) -> tuple[Observer, ...]:
+    """One for each horizon (s); ``noise``: standard deviation of the encoder before rounding, counts."""
+    model = build(rig.with_effects([]), 0.1, 1e-3)
+    return tuple(_observer(model, noise**2 + QUANTISATION, horizon) for horizon in horizons)
+
+
+def _observer(model: Model, variance: float, horizon: float) -> Observer:
+    rig, form, period = model.rig, model.form, model.rig.period
+    if math.isinf(horizon):
+        return Observer(horizon, np.zeros(2 * model.assembly.size), 0.0, 0.0)
+    size, decay = 2 * form.blocks, math.exp(-period / horizon)
+    count = form.inverse @ (rig.motor.gain * torque_input(model.assembly, model.assembly.unit(model.assembly.motor)))
+    held = dense(form.integral(period)) @ count
+    f = np.zeros((size + 1, size + 1))
+    f[:size, :size], f[:size, size], f[size, size] = dense(form.exponential(period)), held * decay, decay
+    h = np.append(model.plan.base_angle * model.plan.counts_per_radian, 0.0)
+    enters = np.append(held, 1.0)
+    first = np.append(form.inverse @ np.concatenate([model.assembly.rigid, np.zeros(model.assembly.size)]), 0.0)
+
+    def gain(log_size: float) -> np.ndarray:
+        process = math.exp(2.0 * log_size) * (1.0 - decay**2) * np.outer(enters, enters)
+        p = scipy.linalg.solve_discrete_are(f.T, h[:, None], process, [[variance]])
+        return p @ h / (h @ p @ h + variance)
+
+    def memory(log_size: float) -> float:
+        """Time integral of the predicted angle's error after a unit one, s."""
+        k, error, total = gain(log_size), first / (h @ first), 0.0
+        for _ in range(math.ceil(LASTS * horizon / period)):
+            e = h @ error
+            total += abs(e) * period
+            error = f @ (error - k * e)
+        return total
+
+    low, high = (math.log(s) for s in SIZES)
+    for _ in range(ROUNDS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if memory(middle) > horizon else (low, middle)
+    k = gain(high)
+    return Observer(horizon, form.basis @ k[:size], float(k[size]), decay)

@@ -1,0 +1,263 @@
+"""Hypotheses, and the parameters that each one lets a fit move.
+
+A rig's constants enter as w with log(c/c_nominal) = L w, L L' their prior covariance, so that their prior is |w|^2.
+Positive sizes of effects enter by their logarithm, others in units of a usual size; each has a Gaussian prior.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from station.estimation.dataset import Dataset
+from station.model.effects import Effect, ParameterInfo, Stage
+from station.rig import Rig
+
+FARTHEST = 8.0
+"""Largest logarithm of a constant over its nominal value that is ever simulated."""
+WIDE = 1.5
+"""Prior sigma of the logarithm of a constant that a hypothesis sets free, and of an effect's size."""
+PLACE, PHASE = 2.0, 3.2
+"""Prior sigmas of signed sizes, in units of a usual one, and of phases, rad (wider than a turn: none is preferred)."""
+
+Key = tuple[str, str]
+"""A cause: (effect, at), or ("parameter:TABLE.KEY", "")."""
+Causes = frozenset[Key]
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """One parameter of an effect as a fit moves it: value = exp(x), or origin + scale x."""
+
+    effect: int
+    name: str
+    info: ParameterInfo
+    log: bool
+    scale: float
+    high: float
+    """Largest value that is physical on this rig."""
+    origin: float = 0.0
+
+    def to_value(self, x: float) -> float:
+        """The parameter's value, kept within its bounds."""
+        value = math.exp(min(max(x, -80.0), 80.0)) if self.log else self.origin + self.scale * x
+        if self.info.periodic:
+            return (value + math.pi) % (2.0 * math.pi) - math.pi
+        return min(max(value, self.info.low), self.high)
+
+    def to_x(self, value: float) -> float:
+        """Inverse of ``to_value``."""
+        return math.log(max(value, 1e-300)) if self.log else (value - self.origin) / self.scale
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A set of causes: effects (class, place) on top of the rig's own, and constants set free."""
+
+    effects: tuple[tuple[type[Effect], str], ...] = ()
+    constants: tuple[str, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """For tables and progress."""
+        names = [f"{cls.name}@{at}" for cls, at in self.effects] + [f"parameter:{c}" for c in self.constants]
+        return " + ".join(names) or "nothing"
+
+    @property
+    def causes(self) -> list[Key]:
+        """(effect, at) of every cause, as the diagnosis file names them."""
+        return [(cls.name, at) for cls, at in self.effects] + [(f"parameter:{c}", "") for c in self.constants]
+
+    @property
+    def key(self) -> Causes:
+        """The causes as a set."""
+        return frozenset(self.causes)
+
+    def __add__(self, other: Hypothesis) -> Hypothesis:
+        return Hypothesis(self.effects + other.effects, self.constants + other.constants)
+
+    def without(self, cause: Key) -> Hypothesis:
+        """The same with one cause less."""
+        return Hypothesis(tuple((cls, at) for cls, at in self.effects if (cls.name, at) != cause),
+                          tuple(c for c in self.constants if (f"parameter:{c}", "") != cause))
+
+
+@dataclass(frozen=True)
+class Held:
+    """A parameter of an effect that the rig file holds, with the uncertainty stated there."""
+
+    effect: int
+    name: str
+    nominal: float
+    sigma: float
+    """Of its logarithm."""
+
+
+Sizes = dict[Key, dict[str, float]]
+"""By cause, the parameters' values."""
+
+
+@dataclass(frozen=True, eq=False)
+class Parameters:
+    """Where the parameters of one hypothesis stand in a vector x, and their prior.
+
+    x = [constants | effects' parameters | encoder zeros | parameters of effects held | places in a gap].
+    """
+
+    rig: Rig
+    hypothesis: Hypothesis
+    paths: tuple[str, ...]
+    root: np.ndarray
+    """(n, n) L, the logarithms of the constants over nominal per unit of x."""
+    coordinates: tuple[Coordinate, ...]
+    zeros: int
+    """Further encoder zeros (beyond the first) whose absolute angle is unknown."""
+    held: tuple[Held, ...]
+    gap_places: int
+    mean: np.ndarray
+    """(p) of the prior."""
+    precision: np.ndarray
+    """(p) of the prior."""
+
+    @property
+    def size(self) -> int:
+        """Number of parameters p."""
+        return self.mean.size
+
+    @cached_property
+    def parts(self) -> dict[str, slice]:
+        """Where each kind of parameter stands in x."""
+        found, at = {}, 0
+        for name, count in (("constants", len(self.paths)), ("effects", len(self.coordinates)), ("zeros", self.zeros),
+                            ("held", len(self.held)), ("places", self.gap_places)):
+            found[name] = slice(at, at + count)
+            at += count
+        return found
+
+    def logs(self, x: np.ndarray) -> np.ndarray:
+        """Logarithms of the constants over nominal."""
+        return self.root @ x[self.parts["constants"]]
+
+    def values(self, x: np.ndarray) -> Sizes:
+        """The effects' parameters, by cause."""
+        found: Sizes = {(cls.name, at): {} for cls, at in self.hypothesis.effects}
+        for coordinate, value in zip(self.coordinates, x[self.parts["effects"]], strict=True):
+            cls, at = self.hypothesis.effects[coordinate.effect]
+            found[cls.name, at][coordinate.name] = coordinate.to_value(value)
+        return found
+
+    def rig_at(self, x: np.ndarray) -> Rig:
+        """The rig that a parameter vector describes."""
+        nominal = self.rig.constants()
+        logs = np.clip(self.logs(x), -FARTHEST, FARTHEST)
+        rig = self.rig.with_constants({p: nominal[p] * math.exp(v) for p, v in zip(self.paths, logs, strict=True)})
+        own = list(self.rig.effects)
+        for held, value in zip(self.held, x[self.parts["held"]], strict=True):
+            own[held.effect] = own[held.effect].model_copy(
+                update={held.name: held.nominal * math.exp(held.sigma * value)})
+        effects = [cls.model_construct(at=at, **_ordered(self.values(x)[cls.name, at]))
+                   for cls, at in self.hypothesis.effects]
+        return rig.with_effects((*own, *effects)) if effects or self.held else rig
+
+    def zero(self, x: np.ndarray, group: int) -> float:
+        """Absolute angle (rad) of encoder count 0 in a group of runs that share it."""
+        return float(x[self.parts["zeros"]][group - 1]) if self.zeros and group else 0.0
+
+    def place(self, x: np.ndarray, run: int) -> float:
+        """Where in its gap the motor stands at a run's start, in [-1, 1]."""
+        return math.tanh(x[self.parts["places"]][run]) if self.gap_places else 0.0
+
+    def carried(self, other: Parameters, x: np.ndarray, start: Sizes | None = None) -> np.ndarray:
+        """Another hypothesis' values in these parameters; what is new begins at ``start``, else at its prior mean."""
+        out = self.mean.copy()
+        out[self.parts["constants"]] = np.linalg.solve(self.root, other.logs(x))
+        sizes = {**other.values(x), **(start or {})}
+        first = self.parts["effects"].start
+        for i, coordinate in enumerate(self.coordinates):
+            cls, at = self.hypothesis.effects[coordinate.effect]
+            if coordinate.name in sizes.get((cls.name, at), {}):
+                out[first + i] = coordinate.to_x(sizes[cls.name, at][coordinate.name])
+        for part in ("zeros", "held", "places"):
+            here, there = self.parts[part], other.parts[part]
+            if here.stop - here.start == there.stop - there.start:
+                out[here] = x[there]
+        return out
+
+    def names(self) -> list[str]:
+        """Names in the order of x: ``motor.gain``, ``coulomb_friction@motor.torque``."""
+        found = list(self.paths)
+        for coordinate in self.coordinates:
+            cls, at = self.hypothesis.effects[coordinate.effect]
+            found.append(f"{cls.name}@{at}.{coordinate.name}")
+        found += [f"encoder zero {k + 2}" for k in range(self.zeros)]
+        found += [f"{self.rig.effects[h.effect].name}.{h.name}" for h in self.held]
+        return found + [f"place in the gap, run {k + 1}" for k in range(self.gap_places)]
+
+
+def parameters(data: Dataset, hypothesis: Hypothesis, centres: Sizes) -> Parameters:
+    """Parameters of a hypothesis; ``centres`` gives each effect's sizes, the centres of their priors."""
+    rig, paths = data.rig, tuple(data.rig.constants())
+    covariance = rig.log_covariance(list(paths))
+    for path in hypothesis.constants:
+        i = paths.index(path)
+        covariance[i, i] += WIDE**2
+    mean, precision = [0.0] * len(paths), [1.0] * len(paths)
+    coordinates = []
+    for k, (cls, at) in enumerate(hypothesis.effects):
+        usual = cls.guesses(rig, at)
+        for name, info in cls.parameters().items():
+            value = centres[cls.name, at][name]
+            coordinate = _coordinate(k, name, info, value, [g[name] for g in usual],
+                                     min(info.high, cls.largest(rig, at).get(name, math.inf)))
+            coordinates.append(coordinate)
+            if cls.stage is Stage.CLOCK and data.clock is not None:
+                unit = data.clock[0] if coordinate.log else coordinate.scale
+                mean.append(coordinate.to_x(data.clock[0]))
+                precision.append((unit / data.clock[1]) ** 2)
+            else:
+                mean.append(coordinate.to_x(value))
+                precision.append((WIDE if coordinate.log else PHASE if info.periodic else PLACE) ** -2)
+    shifted = any(cls.absolute is not None for cls, _ in hypothesis.effects)
+    zeros = max(data.zero_group) if shifted else 0
+    held = _held(rig)
+    places = len(data.runs) if any(cls.stage is Stage.GAP for cls, _ in hypothesis.effects) else 0
+    mean += [0.0] * (zeros + len(held) + places)
+    precision += [PLACE**-2] * zeros + [1.0] * (len(held) + places)
+    return Parameters(rig, hypothesis, paths, np.linalg.cholesky(covariance), tuple(coordinates), zeros, held, places,
+                      np.array(mean), np.array(precision))
+
+
+def _held(rig: Rig) -> tuple[Held, ...]:
+    return tuple(Held(k, name, value, rig.uncertainty[f"{effect.name}.{name}"])
+                 for k, effect in enumerate(rig.effects) for name, value in effect.values().items()
+                 if rig.uncertainty.get(f"{effect.name}.{name}", 0.0) > 0.0 and value != 0.0)
+
+
+def _coordinate(effect: int, name: str, info: ParameterInfo, value: float, usual: Sequence[float],
+                high: float) -> Coordinate:
+    """How a fit moves one parameter, started from ``value``.
+
+    Positive sizes by their logarithm; a size about a neutral value (a ratio about 1, a signed offset about 0) in units
+    of its first guess; a place (a rest angle) in units of usual places; phases in rad.
+    """
+    neutral = info.neutral
+    if info.positive and not info.periodic and (neutral is None or neutral == 0.0 or math.isinf(neutral)):
+        return Coordinate(effect, name, info, True, 1.0, high)
+    if info.periodic:
+        return Coordinate(effect, name, info, False, 1.0, high)
+    sizes = [abs(u - (neutral or 0.0)) for u in usual]
+    least = min((s for s in sizes if s > 0.0), default=1.0)
+    if neutral is None:
+        return Coordinate(effect, name, info, False, max(abs(value), least), high)
+    return Coordinate(effect, name, info, False, max(abs(value - neutral), 1e-6 * least), high, neutral)
+
+
+def _ordered(values: dict[str, float]) -> dict[str, float]:
+    """Keep what a class demands of its parameters together (static_torque >= coulomb_torque)."""
+    if "static_torque" in values:
+        return {**values, "static_torque": max(values["static_torque"], values["coulomb_torque"])}
+    return values

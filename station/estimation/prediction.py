@@ -1,0 +1,112 @@
+"""Predictions of runs at several horizons: the compiled stepper, each time corrected by what an observer missed.
+
+    e[i] = y[i] - yhat[i],   z+ = z + K e[i],   d+ = d + k e[i],   yhat[i+1] from z+ with the logged command and phi d+
+
+z are the rig's modes, d a torque at the motor (counts of command), e the encoder's error; with K = 0 this is the
+simulation driven by the logged command.  The accelerometer is predicted and never fed back.  So nothing asks which
+controller closed the loop: the direct method (Ljung 1999, section 13.4).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+
+from station.estimation.dataset import Dataset
+from station.estimation.observer import Observer
+from station.estimation.parameters import Parameters
+from station.model.compiled import kernel
+from station.model.effects import Stage
+from station.model.simulate import Model, build, initial_state
+from station.model.stepper import _advance, begin, sense
+from station.rig import Rig
+
+Accuracy = tuple[float, float, float]
+"""Modes left out (counts), longest step (s), and that where a gap closes with a blow (s)."""
+SEARCH: Accuracy = (0.1, 1e-3, 5e-4)
+FINE: Accuracy = (0.01, 5e-4, 2e-4)
+"""Of the simulations in a search (errors below 0.1 count), and of those from which values are stated."""
+SPAN = math.pi
+"""Largest error of the angle that corrects a prediction, rad: a model that has run away is not chased."""
+
+
+@kernel()
+def _predict(plan, state, gain, torque_gain, decay, span, offset, command, measured, predicted, disturbance, work):
+    begin(plan, state)
+    d = 0.0
+    for row in range(command.size):
+        predicted[0, row], predicted[1, row] = sense(plan, state, offset, False)
+        if torque_gain != 0.0:
+            error = min(max(measured[0, row] - predicted[0, row], -span), span)
+            for i in range(state.z.size):
+                state.z[i] += gain[i] * error
+            d = decay * (d + torque_gain * error)
+        disturbance[row] = d
+        _advance(plan, state, command[row], d, work)
+
+
+def predict(model: Model, observer: Observer, measured: np.ndarray, command: np.ndarray, *, start_angle: float,
+            offset: float, zero: float = 0.0, gap_place: float = 0.0, equilibrium: bool = False,
+            ) -> tuple[np.ndarray, np.ndarray]:
+    """One run: predicted channels (2, n), counts, unrounded, and the observer's torque (n), counts of command.
+
+    ``measured`` (2, n) counts, ``command`` (n) counts as logged; angles in rad.
+    """
+    state = initial_state(model, start_angle, zero, equilibrium=equilibrium, gap_place=gap_place)
+    predicted, disturbance = np.zeros(measured.shape), np.zeros(len(command))
+    _predict(model.plan, state, model.form.inverse @ observer.state, observer.torque, observer.decay,
+             SPAN / model.rig.angle_per_count, offset, command, measured, predicted, disturbance,
+             np.zeros((4, max(model.plan.port_joint.size, 1))))
+    return predicted, disturbance
+
+
+@dataclass(frozen=True, eq=False)
+class Predictor:
+    """Data, observers and accuracy: all that predictions need beside parameters.  b = horizons x channels blocks."""
+
+    data: Dataset
+    observers: tuple[Observer, ...]
+    pool: Executor
+    accuracy: Accuracy = SEARCH
+
+    @property
+    def blocks(self) -> int:
+        """Horizons times channels."""
+        return len(self.observers) * self.data.channels
+
+    def model(self, space: Parameters, x: np.ndarray) -> Model:
+        """The rig that a parameter vector describes, made ready for the many simulations of a fit."""
+        truncation, longest, longest_gap = self.accuracy
+        return build(space.rig_at(x), truncation, longest_gap if space.gap_places else longest)
+
+    def run(self, model: Model, space: Parameters, x: np.ndarray, run: int, start: float, offset: float,
+            observers: Sequence[Observer] | None = None) -> np.ndarray:
+        """One run's predictions (b, n), counts; ``start`` (rad) is what the encoder reads at sample 0."""
+        data = self.data
+        meta, zero = data.runs[run].metadata, space.zero(x, data.zero_group[run])
+        found = [predict(model, observer, data.measured[run], np.ascontiguousarray(data.runs[run].command, dtype=float),
+                         start_angle=angle_that_reads(model.rig, start, zero), offset=offset, zero=zero,
+                         gap_place=space.place(x, run), equilibrium=meta.start == "equilibrium")[0][: data.channels]
+                 for observer in (self.observers if observers is None else observers)]
+        return np.concatenate(found)
+
+    def runs(self, space: Parameters, x: np.ndarray, start: np.ndarray, offset: np.ndarray, *,
+             parallel: bool = False) -> list[np.ndarray]:
+        """Every run's predictions; ``parallel`` not from one of the pool's threads."""
+        model = self.model(space, x)
+        return list((self.pool.map if parallel else map)(
+            lambda r: self.run(model, space, x, r, start[r], offset[r]), range(len(self.data.runs))))
+
+
+def angle_that_reads(rig: Rig, reading: float, zero: float) -> float:
+    """The base angle (rad) at which an encoder with an error of its own shows a reading (rad)."""
+    errors = [e for e in rig.effects if e.stage is Stage.ENCODER]
+    angle = reading
+    for _ in range(5 if errors else 0):
+        counts = sum(type(e).law(angle + zero, 0.0, 0.0, e.arguments(rig), (), 0.0) for e in errors)
+        angle = reading - counts * rig.angle_per_count
+    return angle
