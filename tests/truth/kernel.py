@@ -236,7 +236,8 @@ def run_kernel(
     """One run.
 
     reference, noise, slip, snag: (n,) counts, counts, counts, 0 or 1. num, den on the error, acc_num,
-    acc_den on the accelerometer; kind 0 open, 1 on the error, 2 with the accelerometer. seg_*: (s,) step
+    acc_den on the accelerometer; kind 0 open, 1 on the error, 2 with the accelerometer, 3 less acc_num on
+    the encoder's readings. seg_*: (s,) step
     (s), steps, what happens at the start of the piece, which matrix. a_all (m, nz, nz), b_all (m, nz, 7),
     g_all (m, 10, 7) = c_port b. c_load (nz,) motor torque less the beam's torque on the base where there is no
     drive, axis_gain times u apart. z (nz,) start state, u the command after the static chain before sample 0.
@@ -315,6 +316,9 @@ def run_kernel(
                     for m in range(1, len(den)):
                         if i - m >= 0:
                             v -= den[m] * recursion[i - m]
+                    if kind == 3:
+                        for m in range(len(acc_num)):
+                            v -= acc_num[m] * encoder[max(k0 - m, 0)]
                     v = min(max(v, -par[LIMIT]), par[LIMIT])
                 recursion[i] = v
                 command[i] = np.floor(v + 0.5) if par[ROUNDING] != 0.0 else v
