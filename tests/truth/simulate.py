@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from . import kernel
+from .disturbance import Pushes
 from .plant import ELEMENTS, MODES, linear_system, mechanics, transition
 from .rigs import RigDict, with_constants
 
@@ -216,6 +217,7 @@ class Truth:
         step: float = 1e-4,
         elements: int = ELEMENTS,
         modes: int = MODES,
+        detuning: Sequence[float] = (),
     ) -> None:
         check_effects(rig, effects)
         values = {e["effect"].removeprefix("parameter:"): e["value"] for e in effects if ":" in e["effect"]}
@@ -233,7 +235,7 @@ class Truth:
         gap = get("backlash", "drive", "gap")
         drive_k3 = get("hardening_spring", "drive", "cubic")
         loose = gap > 0.0
-        mech = mechanics(rig, self.outside, without_drive=loose, elements=elements, modes=modes)
+        mech = mechanics(rig, self.outside, without_drive=loose, elements=elements, modes=modes, detuning=detuning)
         self.mech = mech
         self.gain = rig["motor"]["gain"]
         system = linear_system(
@@ -426,9 +428,10 @@ class Truth:
         accel_zero: float | None = None,
         rounding: bool = True,
         rng: np.random.Generator | None = None,
+        pushes: Pushes | None = None,
     ) -> Output:
         """One run. Angles in rad, `gap_place` in [-1, 1] of half the gap, offset and sigma in counts before
-        rounding.
+        rounding; `pushes` disturb it.
 
         `accel_zero` None: measured as the station does, the mean of 0.2 s at rest before the test.
         """
@@ -438,6 +441,13 @@ class Truth:
         noise = accel_sigma * rng.standard_normal(n)
         before = accel_sigma * rng.standard_normal(round(0.2 * rate))
         slip, snag = self._events(n, rng)
+        none = np.zeros(n)
+        state = self.start_state(start, start_angle, gap_place)
+        if pushes is not None:
+            noise = noise + pushes.noise
+            nq = self.system.nq
+            state[:nq] += pushes.bend * self.mech.lift[2]
+            state[nq : 2 * nq] += pushes.speed * self.mech.lift[0]
         p = self.par | {
             "acc_offset": accel_offset,
             "rounding": float(rounding),
@@ -460,6 +470,10 @@ class Truth:
             noise,
             slip,
             snag,
+            none if pushes is None else pushes.torque,
+            none if pushes is None else pushes.drift,
+            none if pushes is None else pushes.force,
+            pushes is not None,
             num,
             den,
             acc_num,
@@ -481,7 +495,7 @@ class Truth:
             s.d_acc,
             self.c_load,
             par,
-            self.start_state(start, start_angle, gap_place),
+            state,
             self.par["bias"],
             self.nonlinear,
         )
