@@ -6,6 +6,7 @@ import json
 import math
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,8 @@ from scipy.signal import cont2discrete, lsim
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from tests import truth as tr
+from tests.truth.cases import multisine_test, prbs_test
+from tests.truth.disturbance import Pushes, draw_pushes, draw_world, gauss_markov
 from tests.truth.plant import ELEMENTS, beam_matrices, linear_system, mechanics
 from tests.truth.rigs import own_sigma, with_constants
 from tests.truth.simulate import compensator
@@ -678,6 +681,109 @@ def test_effects_need_their_part():
         tr.Truth(tr.RIGID_AXIS, [effect("load_friction", "drive", fraction=0.2)])
     with pytest.raises(ValueError, match="has a drive"):
         tr.Truth(tr.TWO_MASS, [effect("load_friction", "motor", fraction=0.2)])
+
+
+# --- imperfect worlds ---------------------------------------------------------------------------------------
+
+
+def gap(one, other, name: str) -> float:
+    return float(np.sqrt(np.mean((getattr(one, name) - getattr(other, name)) ** 2)))
+
+
+def still(n: int) -> Pushes:
+    return Pushes(*np.zeros((4, n)), 0.0, 0.0)
+
+
+def test_coloured_disturbances_have_their_variance_and_correlation_time():
+    rng, period, time = np.random.default_rng(3), 0.002, 0.05
+    paths = np.array([gauss_markov(rng, 500, period, time) for _ in range(4000)])
+    assert np.mean(paths**2, axis=0) == pytest.approx(np.ones(500), abs=0.12)
+    for lag in (1, 10, 25, 100):
+        found = np.mean(paths[:, lag:] * paths[:, :-lag])
+        assert found == pytest.approx(math.exp(-lag * period / time), abs=0.02)
+
+
+@pytest.mark.parametrize("level", [0.01, 0.02])
+def test_the_torque_that_is_missing_has_the_stated_share_of_the_commands(level):
+    """On an axis J w' + c w - gain u is the disturbance: what acts, found from the motion, over many worlds."""
+    truth, reference = tr.Truth(axis()), multisine_test(500.0, 100.0, 4).reference
+    j, c, g = 0.02, 0.15, 0.01
+    keep = math.exp(-c / j * 0.002)
+    shares = []
+    for seed in range(150):
+        quiet = truth.run(reference, tr.CONTROLLERS["p1"], rounding=False)
+        pushes = draw_pushes(draw_world(seed, level), truth, quiet, seed)
+        out = truth.run(reference, tr.CONTROLLERS["p1"], rounding=False, pushes=pushes)
+        w = speed(out)
+        missing = (w[1:] - keep * w[:-1]) * c / (1.0 - keep) - g * out.command[:-1]
+        shares.append(np.mean(missing**2) / np.mean((g * quiet.command) ** 2))
+    assert math.sqrt(np.mean(shares)) == pytest.approx(level, rel=0.06)
+
+
+def test_the_accelerometers_error_has_the_stated_share_of_its_signal():
+    """Force on the tip and noise of the sensor each half of its power, exactly on a linear rig in open loop."""
+    level, reference = 0.02, prbs_test(500.0, 120.0, 5).reference
+    truth = tr.Truth(tr.SFLR)
+    quiet = truth.run(reference, OPEN, rounding=False)
+    signal, noises = np.std(quiet.accel), []
+    for seed in range(40):
+        drawn = draw_pushes(draw_world(seed, level), truth, quiet, seed)
+        only = replace(still(len(reference)), force=drawn.force)
+        out = truth.run(reference, OPEN, rounding=False, pushes=only)
+        assert gap(out, quiet, "accel") == pytest.approx(level / math.sqrt(2) * signal, rel=1e-6)
+        assert gap(out, quiet, "encoder") > 0.0
+        noises.append(np.mean(drawn.noise**2))
+    assert math.sqrt(np.mean(noises)) == pytest.approx(level / math.sqrt(2) * signal, rel=0.06)
+
+
+def test_a_start_that_is_not_quite_at_rest_turns_and_is_bent_by_its_share_of_the_motion():
+    truth, reference = tr.Truth(tr.SFLR), held((100, 0), (600, 100))
+    quiet = truth.run(reference, tr.CONTROLLERS["lead"], rounding=False)
+    drawn = [draw_pushes(draw_world(seed, 0.02), truth, quiet, seed) for seed in range(300)]
+    out = truth.run(reference, tr.CONTROLLERS["lead"], rounding=False, pushes=drawn[0])
+    length = tr.SFLR["beam"]["length"]
+    assert speed(out)[0] == pytest.approx(drawn[0].speed, rel=1e-9)
+    assert out.trace[0, 6] - length * out.trace[0, 4] == pytest.approx(drawn[0].bend, rel=1e-9)
+    bends = np.std(quiet.trace[:, 6] - length * quiet.trace[:, 4])
+    assert np.std([p.speed for p in drawn]) == pytest.approx(0.02 * np.std(speed(quiet)), rel=0.15)
+    assert np.std([p.bend for p in drawn]) == pytest.approx(0.02 * bends, rel=0.15)
+
+
+def test_modes_are_moved_by_their_own_factors_and_the_rigid_arm_not_at_all():
+    world = draw_world(7, 0.02)
+    assert 0.002 < np.std(np.log(world.detuning)) < 0.02 and len(set(world.detuning)) == 8
+    plain, moved = (mechanics(tr.SFLR, detuning=d) for d in ((), world.detuning))
+    assert np.array_equal(plain.mass, moved.mass)
+    held_root = [np.sqrt(eigh(m.stiffness[3:, 3:], m.mass[3:, 3:], eigvals_only=True)) for m in (plain, moved)]
+    order = np.argsort(held_root[0] * np.array(world.detuning))
+    assert held_root[1] == pytest.approx((held_root[0] * np.array(world.detuning))[order], rel=1e-9)
+    assert np.max(np.abs(moved.stiffness @ moved.lift[0])) < 1e-10
+
+
+def test_level_0_is_the_perfect_world_bit_by_bit():
+    tests = [tr.step_test(500.0, "lead", 100.0, 1.0), tr.pulse_test(500.0, 120.0, duration=1.0)]
+    plain, none = (tr.make_case(5, ["coulomb_friction"], tests, band=None, **k) for k in ({}, {"disturbance": 0.0}))
+    assert plain.truth == none.truth and draw_world(5, 0.0) is None
+    assert all(np.array_equal(a.encoder, b.encoder) and np.array_equal(a.accel, b.accel)
+               for a, b in zip(plain.runs, none.runs, strict=True))
+    reference, truth = tests[0].reference, tr.Truth(tr.SFLR, plain.effects)
+    one, other = (truth.run(reference, tr.CONTROLLERS["lead"], accel_sigma=1.0, pushes=pushes)
+                  for pushes in (None, still(len(reference))))
+    assert np.array_equal(one.trace, other.trace) and np.array_equal(one.accel, other.accel)
+
+
+def test_an_imperfect_case_hides_what_its_perfect_twin_hides_and_repeats_by_its_seed():
+    tests = [tr.step_test(500.0, "lead", 100.0, 1.0), tr.pulse_test(500.0, 120.0, duration=1.0)]
+    twin, case, again, harder = (tr.make_case(6, ["dead_zone"], tests, band=None, disturbance=level)
+                                 for level in (0.0, 0.02, 0.02, 0.04))
+    seen = {"causes", "constants", "logs", "common", "severity", "conditions", "seed", "outside"}
+    assert all(twin.truth[key] == case.truth[key] for key in seen) and set(case.truth) - seen == {"disturbance"}
+    assert case.truth == again.truth and case.truth["disturbance"]["level"] == 0.02
+    assert json.loads(json.dumps(case.truth)) is not None
+    for one, two, three, four in zip(twin.runs, case.runs, again.runs, harder.runs, strict=True):
+        assert np.array_equal(two.encoder, three.encoder) and np.array_equal(two.accel, three.accel)
+        assert 0.0 < gap(one, two, "accel") < gap(one, four, "accel")
+        assert one.metadata == two.metadata and one.columns().keys() == two.columns().keys(), "blind"
 
 
 # --- outside the catalogue ----------------------------------------------------------------------------------

@@ -8,9 +8,16 @@ A controller is described by a small dictionary (the ``controller`` of a run or 
 ``lead``              ``gain, zero, pole``: gain (s + zero)/(s + pole) on r - y
 ``lead_accel``        lead on r - Ga(z) (a - accel_zero) - y, with ``accel_numerator`` and
                       ``accel_denominator``, polynomials in z, highest power first
+``pid``               ``gain, integral, derivative, filter`` (1/s, s, s): gain (1 + integral/s
+                      + derivative s/(filter s + 1)) on r - y; 0 leaves a term out
+``cascade``           ``position_gain, speed_gain``: speed_gain (position_gain (r - y) - y'),
+                      y' by backward difference, 0 at the first reading
+``filter``            ``numerator, denominator``, polynomials in z, highest power first, on r - y
+``unknown``           nothing is known but the commands: a log's, not one that can be run
 ====================  ==========================================================================
 
-The recursion runs on its own output after the limit and before rounding, as the laboratory's program did
+The pid is the standard form with a filtered derivative (Astrom & Hagglund, Advanced PID Control, 2006, ch. 3).  The
+recursion runs on its own output after the limit and before rounding, as the laboratory's program did
 (confirmed by replaying its logs).
 """
 
@@ -29,8 +36,18 @@ _FIELDS = {
     "p": ("gain",),
     "lead": ("gain", "zero", "pole"),
     "lead_accel": ("gain", "zero", "pole", "accel_numerator", "accel_denominator"),
+    "pid": ("gain", "integral", "derivative", "filter"),
+    "cascade": ("position_gain", "speed_gain"),
+    "filter": ("numerator", "denominator"),
+    "unknown": (),
 }
 _OPTIONAL = {"rounding", "accel_zero"}
+_LISTS = {"numerator", "denominator", "accel_numerator", "accel_denominator"}
+
+
+def commanded(spec: dict[str, Any]) -> bool:
+    """Whether a simulation takes a run's commands as logged: where no loop is closed, or by what is not known."""
+    return spec.get("kind") in ("open", "unknown")
 
 
 def tustin_lead(gain: float, zero: float, pole: float, sample_rate: float) -> tuple[np.ndarray, np.ndarray]:
@@ -43,6 +60,25 @@ def tustin_lead(gain: float, zero: float, pole: float, sample_rate: float) -> tu
     return (gain * np.array([k + zero, zero - k]) / (k + pole), np.array([1.0, (pole - k) / (k + pole)]))
 
 
+def tustin_pid(gain: float, integral: float, derivative: float, filter: float,
+               sample_rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """Sample gain (1 + integral/s + derivative s/(filter s + 1)) by Tustin; a term that is 0 adds no state.
+
+    Returns numerator and denominator as ``tustin_lead``.
+    """
+    from scipy.signal import bilinear  # slow to import, and seldom wanted
+
+    numerator, denominator = np.ones(1), np.ones(1)
+    if integral != 0.0:
+        numerator, denominator = np.array([1.0, integral]), np.array([1.0, 0.0])
+    if derivative != 0.0:
+        lag = np.array([filter, 1.0])
+        numerator = np.polyadd(np.polymul(numerator, lag), np.polymul(denominator, [derivative, 0.0]))
+        denominator = np.polymul(denominator, lag)
+    sampled, denominator = bilinear(numerator, denominator, sample_rate)
+    return gain * sampled, denominator
+
+
 def _numbers(spec: dict[str, Any], key: str) -> np.ndarray:
     try:
         values = np.atleast_1d(np.asarray(spec[key], dtype=float))
@@ -53,12 +89,24 @@ def _numbers(spec: dict[str, Any], key: str) -> np.ndarray:
     return values
 
 
+def _monic(values: dict[str, np.ndarray], top: str, bottom: str) -> tuple[np.ndarray, np.ndarray]:
+    """Two polynomials in z as a difference equation: of equal length, the denominator monic."""
+    numerator, denominator = values[top], values[bottom]
+    if denominator[0] == 0.0 or numerator.size > denominator.size:
+        raise UsageError(f"controller.{bottom}: must begin with a number other than 0 and be at least as long as {top}")
+    padded = np.zeros(denominator.size)
+    padded[denominator.size - numerator.size:] = numerator
+    return padded / denominator[0], denominator / denominator[0]
+
+
 @dataclass
 class Compensator:
     """A difference equation from reference, encoder and accelerometer (counts) to the command (counts).
 
     ``numerator``/``denominator`` act on the error, ``accel_numerator``/``accel_denominator`` on the
     accelerometer's reading (empty where there is no accelerometer loop); both monic, highest power of z first.
+    ``feedback`` are coefficients of the encoder's present and past readings, taken off; before the first reading the
+    encoder is taken to have stood there.
     """
 
     spec: dict[str, Any]
@@ -67,6 +115,7 @@ class Compensator:
     denominator: np.ndarray
     accel_numerator: np.ndarray = field(default_factory=lambda: np.zeros(0))
     accel_denominator: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    feedback: np.ndarray = field(default_factory=lambda: np.zeros(0))
     open_loop: bool = False
 
     @classmethod
@@ -82,26 +131,34 @@ class Compensator:
             raise UsageError(f"controller.{key}: unknown key for kind {kind!r}")
         if kind == "open":
             return cls(dict(spec), limit, np.ones(1), np.ones(1), open_loop=True)
+        if kind == "unknown":
+            raise UsageError("controller.kind: unknown, so that no command can be worked out; name the controller")
         values = {key: _numbers(spec, key) for key in _FIELDS[kind]}
-        for key in set(values) & {"gain", "zero", "pole"}:
+        for key in values.keys() - _LISTS:
             if values[key].size != 1:
                 raise UsageError(f"controller.{key}: one number is wanted")
+        if kind == "filter":
+            return cls(dict(spec), limit, *_monic(values, "numerator", "denominator"))
+        if kind == "cascade":
+            position, speed = (float(values[key][0]) for key in _FIELDS[kind])
+            return cls(dict(spec), limit, np.array([position * speed]), np.ones(1),
+                       feedback=speed * sample_rate * np.array([1.0, -1.0]))
         gain = float(values["gain"][0])
         if kind == "p":
             return cls(dict(spec), limit, np.array([gain]), np.ones(1))
+        if kind == "pid":
+            terms = [float(values[key][0]) for key in _FIELDS[kind]]
+            if terms[3] < 0.0 or (terms[2] != 0.0 and terms[3] == 0.0):
+                raise UsageError("controller.filter: a time constant above 0 s is wanted, without which Tustin's "
+                                 "derivative rings")
+            return cls(dict(spec), limit, *tustin_pid(*terms, sample_rate))
         zero, pole = float(values["zero"][0]), float(values["pole"][0])
         if 2.0 * sample_rate + pole <= 0.0:
             raise UsageError("controller.pole: too far in the right half plane for this sample rate")
         lead = tustin_lead(gain, zero, pole, sample_rate)
         if kind == "lead":
             return cls(dict(spec), limit, *lead)
-        numerator, denominator = values["accel_numerator"], values["accel_denominator"]
-        if denominator[0] == 0.0 or numerator.size > denominator.size:
-            raise UsageError("controller.accel_denominator: must begin with a number other than 0 "
-                             "and be at least as long as accel_numerator")
-        padded = np.zeros(denominator.size)
-        padded[denominator.size - numerator.size:] = numerator
-        return cls(dict(spec), limit, *lead, padded / denominator[0], denominator / denominator[0])
+        return cls(dict(spec), limit, *lead, *_monic(values, "accel_numerator", "accel_denominator"))
 
     def __post_init__(self) -> None:
         self.reset()
@@ -112,6 +169,7 @@ class Compensator:
         n, m = self.denominator.size, max(self.accel_denominator.size, 1)
         self._errors, self._outputs = deque([0.0] * n, n), deque([0.0] * n, n)
         self._accels, self._shaped = deque([0.0] * m, m), deque([0.0] * m, m)
+        self._readings: deque[float] = deque(maxlen=max(self.feedback.size, 1))
 
     def shape(self, accel: float) -> float:
         """One step of the accelerometer loop: Ga(z)(accel - accel_zero), counts."""
@@ -130,6 +188,9 @@ class Compensator:
         self._errors.appendleft(reference - encoder)
         out = sum(b * x for b, x in zip(self.numerator, self._errors, strict=True))
         out -= sum(a * y for a, y in zip(self.denominator[1:], self._outputs, strict=False))
+        if self.feedback.size:
+            self._readings.extendleft([encoder] * (1 if self._readings else self.feedback.size))
+            out -= sum(c * y for c, y in zip(self.feedback, self._readings, strict=True))
         out = min(max(out, -self.limit), self.limit)
         self._outputs.appendleft(out)
         return out

@@ -54,7 +54,7 @@ def floor(measured: np.ndarray, sigma: float) -> float:
 
 def step_measures(run: Run, encoder: np.ndarray) -> dict[str, float | None]:
     """What a step test is judged by; empty for other tests."""
-    if step_row(run.reference) is None or run.metadata.controller.get("kind") == "open":
+    if step_row(run.reference) is None or run.open_loop:
         return {}
     return {"overshoot_percent": overshoot(run.reference, encoder),
             "settling_time": settling_time(run.reference, encoder, run.t)}

@@ -19,6 +19,7 @@ from typing import Literal
 
 import numpy as np
 
+from station.control.compensators import commanded
 from station.diagnose.noise import QUANTISATION, correlation_time, noise_sigmas, rest_rows, rounding_shares
 from station.model.effects import Effect, ParameterInfo, Stage
 from station.model.simulate import Model, Simulation, build, simulate_model
@@ -169,7 +170,7 @@ class Problem:
             return np.stack([getattr(both[0], c) - getattr(both[1], c) for c in ("encoder", "accel")[: self.channels]])
 
         for r, run in enumerate(self.runs):
-            if run.metadata.controller.get("kind") == "open":
+            if commanded(run.metadata.controller):
                 continue
             shifts = rng.uniform(-0.5, 0.5, (REALISATIONS, 2)) * [self.rig.angle_per_count, 1.0]
             differences = np.array(list(self.pool.map(pair, [(r, *shift) for shift in shifts])))

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from station.control.compensators import commanded
 from station.diagnose.candidates import Candidate, candidates
 from station.diagnose.estimate import LOST, REACHED, Fit, eliminate, fit, go_on, nuisance_priors
 from station.diagnose.problem import FINE, MISFIT, QUICK, ROUGH, Hypothesis, Layout, Problem
@@ -611,7 +612,7 @@ def explore(problem: Problem, effort: Effort, progress: Callable[[str, float], N
     run that no controller corrects, and the search is done anew with closed loops.
     """
     search = _ladder(problem, effort, progress)
-    if search.misfit and any(run.metadata.controller.get("kind") != "open" for run in problem.runs):
+    if search.misfit and any(not commanded(run.metadata.controller) for run in problem.runs):
         problem.by_command, problem.accuracy = False, ROUGH
         less = replace(effort, fits=EFFORTS["quick"].fits, exact=EFFORTS["quick"].exact)
         search = _ladder(problem, less, progress)

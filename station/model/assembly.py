@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from station.model.beam import beam_matrices
+from station.model.beam import beam_matrices, element_strain
 from station.rig import Rig
 
 
@@ -83,6 +83,29 @@ def assemble(rig: Rig) -> Assembly:
     rigid[nodes] = beam.length / beam.elements * np.arange(1, beam.elements + 1)
     rigid[nodes + 1] = 1.0
     return Assembly(mass, damping, stiffness, rigid, motor, base, root, tip, nodes)
+
+
+def strain(rig: Rig) -> np.ndarray:
+    """Rows R (n - 1 x n) with K = R^T R: what each joint and each mode of a beam element is deformed by, sqrt(N m).
+
+    Every deformation is a difference of neighbours, so that R holds the soft modes to rounding, which K, where stiff
+    elements swamp them, does not.
+    """
+    parts = assemble(rig)
+    rows = []
+    for joint, one, other in ((rig.drive, parts.motor, parts.base), (rig.clamp, parts.base, parts.root)):
+        if joint is not None:
+            rows.append(np.sqrt(joint.stiffness) * (parts.unit(one) - parts.unit(other)))
+    if rig.beam is not None:
+        count = rig.beam.elements
+        element = element_strain(rig.beam.flexural_rigidity, rig.beam.length / count)
+        bent = np.zeros((2 * count, 2 * count + 2))
+        for i in range(count):
+            bent[2 * i:2 * i + 2, 2 * i:2 * i + 4] = element
+        beam = np.zeros((2 * count, parts.size))
+        beam[:, parts.root:] = bent[:, 1:]
+        rows.extend(beam)
+    return np.array(rows).reshape(-1, parts.size)
 
 
 def state_matrix(assembly: Assembly) -> np.ndarray:

@@ -37,6 +37,16 @@ def element_stiffness(flexural_rigidity: float, h: float) -> np.ndarray:
         [6.0 * h, 2.0 * h**2, -6.0 * h, 4.0 * h**2]])
 
 
+def element_strain(flexural_rigidity: float, h: float) -> np.ndarray:
+    """Rows (2 x 4) whose squares over q sum to twice an element's strain energy, so that R^T R is its stiffness.
+
+    Its curvature is a constant, of energy EI (theta2 - theta1)^2 / 2h, and one that changes sign along it, of energy
+    3 EI (theta1 + theta2 - 2 (y2 - y1)/h)^2 / 2h (natural modes of Argyris, Recent Advances in Matrix Methods, 1964).
+    """
+    bend = np.array([[0.0, -1.0, 0.0, 1.0], [2.0 / h, 1.0, -2.0 / h, 1.0]])
+    return np.sqrt(flexural_rigidity / h * np.array([[1.0], [3.0]])) * bend
+
+
 def beam_matrices(mass_per_length: float, flexural_rigidity: float, length: float,
                   elements: int) -> tuple[np.ndarray, np.ndarray]:
     """Mass and stiffness (2n+2 x 2n+2) of a free beam, nodes [y0, theta0, y1, theta1, ...]."""

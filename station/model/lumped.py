@@ -28,7 +28,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 
-from station.control.compensators import Compensator
+from station.control.compensators import Compensator, commanded
 from station.model.assembly import Assembly, assemble
 from station.model.beam import element_stiffness
 from station.rig import Rig
@@ -179,14 +179,15 @@ class ChainRun:
 
 def run_chain(rig: Rig, run: Run, lumps: int, steps_per_sample: int = 1, rounding: bool = False) -> ChainRun:
     """Repeat ``run`` on the chain: its reference through its own compensator, or its command where it is
-    open.
+    open or its compensator is not known.
 
     At tick i the sensors are read, then row i's command acts for one period; with command_row = -k it comes
     from row i's reference and row i - k's readings.  From rest at angle 0.  ``rounding`` rounds readings
     and command half up.
     """
     chain = DiscreteChain(rig, lumps, rig.period / steps_per_sample)
-    compensator = Compensator.from_spec(run.metadata.controller, rig.sample_rate, rig.amplifier.limit)
+    spec = {"kind": "open"} if commanded(run.metadata.controller) else run.metadata.controller
+    compensator = Compensator.from_spec(spec, rig.sample_rate, rig.amplifier.limit)
     delay = -run.metadata.command_row
     rows = len(run.t)
     command, encoder, accel = np.zeros(rows), np.zeros(rows), np.zeros(rows)

@@ -10,7 +10,7 @@ from typing import Literal
 
 import numpy as np
 
-from station.control.compensators import Compensator
+from station.control.compensators import Compensator, commanded
 from station.errors import WorkError
 from station.model import stepper
 from station.model.assembly import Assembly, assemble, torque_input
@@ -310,19 +310,21 @@ def _balance(model: Model, state: stepper.State, q: np.ndarray) -> None:
 
 
 def controller_arrays(spec: dict, rig: Rig, accel_zero: float = 0.0) -> stepper.Controller:
-    """A run's controller as the stepper takes it."""
+    """A run's controller as the stepper takes it; an unknown one is none: the commands are taken as logged."""
     return _controller_arrays(json.dumps(spec), rig.sample_rate, rig.amplifier.limit, accel_zero)
 
 
 @functools.lru_cache(maxsize=64)
 def _controller_arrays(text: str, sample_rate: float, limit: float, accel_zero: float) -> stepper.Controller:
     spec = json.loads(text)
+    if commanded(spec):
+        spec = {"kind": "open"}
     comp = Compensator.from_spec(spec, sample_rate, limit)
     order = max(comp.numerator.size, comp.denominator.size)
     num, den = np.zeros(order), np.zeros(order)
     num[: comp.numerator.size], den[: comp.denominator.size] = comp.numerator, comp.denominator
     return stepper.Controller(comp.open_loop, num, den, comp.accel_numerator, comp.accel_denominator,
-                              float(spec.get("accel_zero", accel_zero)))
+                              float(spec.get("accel_zero", accel_zero)), comp.feedback)
 
 
 def simulate_model(model: Model, run: Run, *, rounding: bool | Literal["inside"] = True, start_angle: float = 0.0,
@@ -359,9 +361,10 @@ def simulate(rig: Rig, run: Run, *, rounding: bool = True, start_angle: float | 
              accel_offset: float = 0.0, gap_place: float = 0.0, states: bool = False) -> Simulation:
     """Simulate a run's test on a rig.
 
-    A closed loop runs from the run's reference with its own compensator on the model's own outputs, an open loop
-    from the run's command.  ``start_angle`` (rad) defaults to the run's first encoder reading, ``accel_offset`` is
-    in counts, ``zero`` the absolute angle of encoder count 0.  Without ``rounding`` outputs stay real numbers.
+    A closed loop runs from the run's reference with its own compensator on the model's own outputs, an open loop and
+    one whose controller is not known from the run's command.  ``start_angle`` (rad) defaults to the run's first encoder
+    reading, ``accel_offset`` is in counts, ``zero`` the absolute angle of encoder count 0.  Without ``rounding``
+    outputs stay real numbers.
     """
     if start_angle is None:
         start_angle = float(run.encoder[0]) * rig.angle_per_count

@@ -128,6 +128,8 @@ class Controller(NamedTuple):
     accel_numerator: np.ndarray
     accel_denominator: np.ndarray
     accel_zero: float
+    feedback: np.ndarray
+    """Coefficients of the encoder's present and past readings, taken off the command."""
 
 
 @kernel(fastmath={"contract"})
@@ -444,10 +446,10 @@ def ticks(plan, state, controller, reference, command, closed, command_row, offs
           encoder, accel, history, seen, work, past, past_accel):
     """As ``run_ticks``, with room to work in."""
     rows = reference.size
-    num, den = controller.numerator, controller.denominator
+    num, den, feedback = controller.numerator, controller.denominator, controller.feedback
     anum, aden = controller.accel_numerator, controller.accel_denominator
     seen_encoder, seen_accel = seen
-    e, v = past
+    e, v, y = past
     g, w = past_accel
     plain = (plan.substeps == 1 and plan.port_joint.size == 0 and plan.slots.shape[0] == 0 and plan.switch < 0
              and plan.whole_delay == 0 and plan.encoder_delay == 0.0 and plan.accel_delay == 0.0)
@@ -455,9 +457,9 @@ def ticks(plan, state, controller, reference, command, closed, command_row, offs
     begin(plan, state)
     for row in range(rows):
         if plain:
-            angle, y = _dot2(plan.base_angle, plan.tip_acceleration, z)
-            y += plan.tip_feedthrough * state.last[0]
-            encoder[row], accel[row] = angle * plan.counts_per_radian, y * plan.counts_per_acceleration + offset
+            angle, tip = _dot2(plan.base_angle, plan.tip_acceleration, z)
+            tip += plan.tip_feedthrough * state.last[0]
+            encoder[row], accel[row] = angle * plan.counts_per_radian, tip * plan.counts_per_acceleration + offset
         else:
             encoder[row], accel[row] = sense(plan, state, offset, False)
         if rounding == NONE:
@@ -487,6 +489,9 @@ def ticks(plan, state, controller, reference, command, closed, command_row, offs
                 out = num[0] * e[0]
                 for k in range(1, num.size):
                     out += num[k] * e[k] - den[k] * v[k]
+                for k in range(feedback.size - 1, -1, -1):
+                    y[k] = y[k - 1] if k > 0 and source > 0 else seen_encoder[source]
+                    out -= feedback[k] * y[k]
                 out = min(max(out, -plan.limit), plan.limit)
                 v[0] = out
                 if round_command:
@@ -511,4 +516,5 @@ def run_ticks(plan, state, controller, reference, command, closed, command_row, 
     rows, order, accel_order = reference.size, controller.numerator.size, max(controller.accel_denominator.size, 1)
     ticks(plan, state, controller, reference, command, closed, command_row, offset, rounding, round_command,
           encoder, accel, history, (np.zeros(rows), np.zeros(rows)), np.zeros((4, max(plan.port_joint.size, 1))),
-          (np.zeros(order), np.zeros(order)), (np.zeros(accel_order), np.zeros(accel_order)))
+          (np.zeros(order), np.zeros(order), np.zeros(controller.feedback.size)),
+          (np.zeros(accel_order), np.zeros(accel_order)))

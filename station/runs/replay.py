@@ -59,6 +59,9 @@ def replay_commands(run: Run, limit: float | None = None, *, shaped: bool = Fals
     where the log is; the recursion never is.
     """
     run.require_unbroken()
+    if run.metadata.controller.get("kind") == "unknown":
+        raise WorkError(f"{run.name}: the log names no controller, so that its commands cannot be worked out again; "
+                        'say it in the log, as in # controller = {"kind": "p", "gain": 2.0}')
     spec, reference = dict(run.metadata.controller), run.reference
     if shaped:
         if SHAPED not in run.extra:

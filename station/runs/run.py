@@ -20,6 +20,7 @@ MAX_METADATA_BYTES = 1 << 20
 class RunMetadata(BaseModel):
     """What is known about a run; unknown keys are kept as they are.
 
+    A log that names no ``controller`` has an unknown one: its commands are known, not what worked them out.
     ``rounding`` is False where the logged command was not rounded; ``accel_zero`` (counts) is the
     accelerometer's mean at rest that the compensator took off.
     """
@@ -27,7 +28,7 @@ class RunMetadata(BaseModel):
     model_config = ConfigDict(extra="allow")
 
     rig: str | dict[str, Any] = ""
-    controller: dict[str, Any] = Field(default_factory=lambda: {"kind": "open"})
+    controller: dict[str, Any] = Field(default_factory=lambda: {"kind": "unknown"})
     test: dict[str, Any] = Field(default_factory=dict)
     firmware: dict[str, Any] | str | None = None
     versions: dict[str, str] | None = None
@@ -165,6 +166,12 @@ class Run:
     def start(self) -> str:
         """How the run begins: ``released`` or ``equilibrium``."""
         return self.metadata.start
+
+    @property
+    def open_loop(self) -> bool:
+        """Whether no loop was closed: the log says so, or names no controller and its commands are its reference."""
+        kind = self.metadata.controller.get("kind")
+        return kind == "open" or (kind == "unknown" and np.array_equal(self.command, self.reference))
 
     @property
     def lost_samples(self) -> int:

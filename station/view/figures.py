@@ -70,7 +70,7 @@ def hero(comparison: RunComparison, channel: str) -> go.Figure:
         name, dash, width = ROLES[role]
         figure.add_trace(_line(run.t, values, role, name, dash, width))
     rests = np.count_nonzero(np.diff(run.reference)) < 0.02 * len(run.t)
-    if channel == "encoder" and rests and run.metadata.controller.get("kind") != "open":
+    if channel == "encoder" and rests and not run.open_loop:
         lines["reference"] = run.reference
         figure.add_trace(_line(run.t, run.reference, "reference", "reference", "dot", 1.4, legend=False))
     _label_lines(figure, run.t, lines)

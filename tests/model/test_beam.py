@@ -5,6 +5,8 @@ import pytest
 import scipy.linalg
 import scipy.optimize
 
+from station.model import transfer_matrix
+from station.model.assembly import assemble, strain
 from station.model.beam import beam_matrices, element_mass, element_stiffness
 from station.model.linear import natural_frequencies
 from station.rig import load_rig
@@ -83,6 +85,28 @@ def test_frequency_error_falls_with_the_fourth_power_of_element_length(mode):
     errors = np.array([pinned_free(n)[0][mode] / PINNED_FREE[mode] ** 2 - 1.0 for n in counts])
     orders = -np.diff(np.log(errors)) / np.diff(np.log(counts))
     np.testing.assert_allclose(orders, 4.0, atol=0.05)
+
+
+@pytest.mark.parametrize("elements", [1, 7, 200])
+@pytest.mark.parametrize("missing", [(), ("drive",), ("clamp",), ("drive", "clamp"),
+                                     ("beam", "clamp", "tip", "accelerometer")], ids=str)
+def test_squares_of_the_strains_are_the_stiffness(missing, elements):
+    rig = load_rig("sflr").model_copy(update=dict.fromkeys(missing))
+    if rig.beam is not None:
+        rig = rig.model_copy(update={"beam": rig.beam.model_copy(update={"elements": elements})})
+    rows, parts = strain(rig), assemble(rig)
+    assert rows.shape == (parts.size - 1, parts.size)
+    np.testing.assert_allclose(rows.T @ rows, parts.stiffness, rtol=0.0, atol=1e-14 * np.abs(parts.stiffness).max())
+    np.testing.assert_allclose(rows @ parts.rigid, 0.0, atol=1e-12 * np.abs(rows).max())
+
+
+@pytest.mark.parametrize("name", ["sflr", "sflr-unit"])
+def test_low_frequencies_of_200_elements_are_those_of_the_exact_beam(name):
+    """The transfer matrix has no elements; a share of 5e-10 would show."""
+    rig = load_rig(name)
+    fine = rig.model_copy(update={"beam": rig.beam.model_copy(update={"elements": 200})})
+    np.testing.assert_allclose(natural_frequencies(fine)[1:4], transfer_matrix.natural_frequencies(rig, 20.0)[:3],
+                               rtol=5e-10)
 
 
 @pytest.mark.parametrize("name", ["sflr", "sflr-unit"])

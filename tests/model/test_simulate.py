@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import control
@@ -59,7 +60,7 @@ STEP = np.where(np.arange(600) < 50, 0.0, 120.0)
 
 
 @pytest.mark.parametrize("held", [[], MANY], ids=["linear", "eight effects"])
-@pytest.mark.parametrize("controller", ["p2", "lead", "lead_accel"])
+@pytest.mark.parametrize("controller", ["p2", "lead", "lead_accel", "pid", "cascade", "filter"])
 def test_plant_tick_by_tick_is_the_simulation(rig, held, controller):
     """The simulated device's way, its compensator in Python, gives every count of the compiled loop."""
     machine = rig.with_effects(held)
@@ -76,6 +77,19 @@ def test_plant_tick_by_tick_is_the_simulation(rig, held, controller):
         plant.advance(command)
     np.testing.assert_array_equal(np.array(rows).T, [whole.command, whole.encoder, whole.accel])
     assert np.ptp(whole.encoder) > 50 and np.ptp(whole.accel) > 20
+
+
+def test_a_loop_whose_controller_is_not_known_is_driven_by_its_logged_commands(rig):
+    """The logged commands of a closed loop, and neither its reference nor any loop, move the model."""
+    closed = make_run(STEP, "p2")
+    logged = replace(closed, command=simulate(rig, closed).command)
+    unknown = replace(logged, metadata=RunMetadata(command_row=-1))
+    assert unknown.metadata.controller == {"kind": "unknown"} and not unknown.open_loop
+    made, as_logged = simulate(rig, unknown), simulate(rig, make_run(logged.command))
+    np.testing.assert_array_equal(made.command, logged.command)
+    np.testing.assert_array_equal([made.encoder, made.accel], [as_logged.encoder, as_logged.accel])
+    other = simulate(rig, replace(unknown, reference=2.0 * STEP))
+    np.testing.assert_array_equal(other.encoder, made.encoder)
 
 
 def test_plant_follows_any_command_as_the_open_loop_does(rig):

@@ -3,6 +3,7 @@
 import json
 import struct
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
@@ -210,7 +211,8 @@ def test_mat_from_other_programs_is_read(tmp_path):
     scipy.io.savemat(tmp_path / "a.mat", {"t": rows / 500, "reference": rows, "command": rows,
                                           "encoder": rows.astype(np.int16), "accel": rows.astype(np.float32)})
     run = load_run(tmp_path / "a.mat")
-    assert run.encoder.dtype == np.float64 and len(run) == 20 and run.metadata.controller == {"kind": "open"}
+    assert run.encoder.dtype == np.float64 and len(run) == 20 and run.metadata.controller == {"kind": "unknown"}
+    assert run.open_loop and not replace(run, command=2.0 * rows).open_loop
 
 
 def test_a_mat_variable_that_inflates_beyond_a_column_is_refused_early(tmp_path):

@@ -135,6 +135,8 @@ def test_what_a_replay_needs_is_asked_for():
         replay_commands(replace(run, accel=None))
     with pytest.raises(WorkError, match="no column reference_shaped"):
         replay_commands(run, shaped=True)
+    with pytest.raises(WorkError, match="made: the log names no controller"):
+        compare_replay(told(run, controller={"kind": "unknown"}))
     n = np.arange(len(run))
     n[100:] += 1
     with pytest.raises(WorkError, match="1 samples lost"):

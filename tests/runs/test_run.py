@@ -1,5 +1,7 @@
 """What a run is: its checks, its slices, its rest."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -107,6 +109,16 @@ def test_metadata_that_say_the_impossible_are_refused_by_key(entries, words):
     with pytest.raises(WorkError, match=rf"^f.mcap: metadata {words}: ") as caught:
         RunMetadata.from_entries("f.mcap", entries)
     assert "\n" not in str(caught.value)
+
+
+def test_a_log_that_names_no_controller_has_an_unknown_one_whose_loop_is_told_by_its_commands():
+    run = Run(name="r", metadata=RunMetadata(), **plain())
+    assert run.metadata.controller == {"kind": "unknown"}
+    told = {kind: RunMetadata(controller={"kind": kind}) for kind in ("open", "unknown", "p")}
+    for same in (True, False):
+        command = run.reference if same else run.reference + 1.0
+        found = {kind: replace(run, command=command, metadata=meta).open_loop for kind, meta in told.items()}
+        assert found == {"open": True, "unknown": same, "p": False}
 
 
 def test_unknown_metadata_are_kept():

@@ -47,6 +47,9 @@ How the contract is read where it leaves room:
 Rigs are drawn within 2 sigma (`rigs.draw_logs`) and kept if `cases.behaves`. Severity (`cases.Severity`) is
 the chi squared lost by the best re-fitted rig without the cause.
 
+A case's world is perfect but for its causes and noise, or imperfect by a level (`make_case(..., disturbance=0.02)`,
+module `disturbance`): torque, gain, modes, sensor and start each a little off, the hidden causes the same.
+
 Outside the catalogue (`OUTSIDE`), none of which is a law of the contract: presliding_friction (a bristle
 that bends over degrees, its level wavy with angle), angle_friction (dry friction of the base, wavy with
 angle), friction_drift (dry friction that warms up or fades during a run), second_appendage (one more

@@ -30,9 +30,12 @@ def main() -> None:
     parser.add_argument("seed", type=int)
     parser.add_argument("effect", nargs="*", help="names of effects, or parameter:TABLE.KEY; none: a clean rig")
     parser.add_argument("--band", choices=["clear", "subtle", "drawn"], default="clear")
+    parser.add_argument("--disturbance", type=float, default=0.0, metavar="LEVEL",
+                        help="share of command torque and accelerometer signal that the world disturbs; 0.02 is 2 %%")
     parser.add_argument("--out", type=Path, required=True)
     args = parser.parse_args()
-    case = make_case(args.seed, args.effect, band=None if args.band == "drawn" else args.band)
+    case = make_case(args.seed, args.effect, band=None if args.band == "drawn" else args.band,
+                     disturbance=args.disturbance)
     args.out.mkdir(parents=True, exist_ok=True)
     for run in case.runs:
         write_csv(run, args.out / f"{run.name}.csv")

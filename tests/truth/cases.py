@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from station.runs.run import Run, RunMetadata
 
 from . import sizes
+from .disturbance import Pushes, World, draw_pushes, draw_world
 from .rigs import SFLR, RigDict, draw_logs, get_constant, own_sigma, shifted, uncertain_keys, with_constants
 from .simulate import CONTROLLERS, OUTSIDE, Effect, Output, Truth
 
@@ -166,13 +167,16 @@ def simulate_case(
     conditions: Sequence[Conditions],
     exact: bool = False,
     step: float = 1e-4,
+    world: World | None = None,
 ) -> list[Output]:
-    """Every test of a case on one rig. `exact` leaves rounding and noise away, for severities."""
-    truth = Truth(constants, effects, step)
+    """Every test of a case on one rig. `exact` leaves rounding and noise away, for severities; `world` is what else
+    disturbs the runs."""
+    truth = Truth(constants, effects, step, detuning=world.detuning if world else ())
     outputs = []
     for test, c in zip(tests, conditions, strict=True):
-        outputs.append(
-            truth.run(
+
+        def made(pushes: Pushes | None, test: Test = test, c: Conditions = c) -> Output:
+            return truth.run(
                 test.reference,
                 CONTROLLERS[test.controller],
                 start=c.start,
@@ -183,8 +187,11 @@ def simulate_case(
                 accel_sigma=0.0 if exact else c.accel_sigma,
                 rounding=not exact,
                 rng=np.random.default_rng(c.seed),
+                pushes=pushes,
             )
-        )
+
+        quiet = made(None)
+        outputs.append(quiet if world is None else made(draw_pushes(world, truth, quiet, c.seed)))
     return outputs
 
 
@@ -392,6 +399,7 @@ def make_case(
     accel_sigma: float | None = None,
     count: int | None = None,
     host_time: bool | None = None,
+    disturbance: float = 0.0,
 ) -> Case:
     """A blind case, the same for the same arguments.
 
@@ -402,7 +410,11 @@ def make_case(
     effects outside the catalogue, which are drawn until their severity exceeds 200. A rig that does not behave
     (`behaves`: without and with its effects) is drawn again. A ValueError says that no draw reached the band; for a
     parameter cause also that its own uncertainty is too wide for any size to reach it.
+
+    `disturbance` is the level of what is imperfect besides (`disturbance`), 0 for a perfect world. Rig, causes, their
+    sizes and severities, tests and conditions are those of the perfect world, unless its disturbed runs do not behave.
     """
+    world = draw_world(seed, disturbance)
     rng = np.random.default_rng([seed, 0x57A7])
     target = sizes.BANDS[band] if isinstance(band, str) else band
     for name in (e for e in effects if isinstance(e, str) and e.startswith("parameter:")):
@@ -439,7 +451,15 @@ def make_case(
         if not behaves(outputs, drawn_tests, rig):
             reason = "no rig behaved with its effects"
             continue
-        return _case(seed, rig, nominal, settled, grades, drawn_tests, conditions, outputs, own, common, rng, host_time)
+        if world is not None:
+            outputs = simulate_case(rig, settled, drawn_tests, conditions, world=world)
+            if not behaves(outputs, drawn_tests, rig):
+                reason = "no rig behaved in this world"
+                continue
+        case = _case(seed, rig, nominal, settled, grades, drawn_tests, conditions, outputs, own, common, rng, host_time)
+        if world is not None:
+            case.truth["disturbance"] = asdict(world)
+        return case
     raise ValueError(f"seed {seed}, {list(effects)}: {reason}")
 
 

@@ -227,7 +227,7 @@ def read_accel(x: float, par) -> float:
 
 @njit(**_COMPILE)
 def run_kernel(
-    reference, noise, slip, snag,
+    reference, noise, slip, snag, torque, drift, force, disturbed,
     num, den, acc_num, acc_den, kind, accel_zero,
     seg_h, seg_n, seg_encoder, seg_accel, seg_switch, seg_matrix,
     a_all, b_all, g_all, c_port, c_encoder, c_acc, d_acc, c_load,
@@ -235,12 +235,14 @@ def run_kernel(
 ):  # fmt: skip
     """One run.
 
-    reference, noise, slip, snag: (n,) counts, counts, counts, 0 or 1. num, den on the error, acc_num,
-    acc_den on the accelerometer; kind 0 open, 1 on the error, 2 with the accelerometer. seg_*: (s,) step
-    (s), steps, what happens at the start of the piece, which matrix. a_all (m, nz, nz), b_all (m, nz, 7),
-    g_all (m, 10, 7) = c_port b. c_load (nz,) motor torque less the beam's torque on the base where there is no
-    drive, axis_gain times u apart. z (nz,) start state, u the command after the static chain before sample 0.
-    Returns encoder, accel, command (n,) and the trace at the ticks (n, TRACE).
+    reference, noise, slip, snag: (n,) counts, counts, counts, 0 or 1. torque, drift, force: (n,) N m on the motor,
+    relative change of its gain, N on the tip, all held over a tick; `disturbed` whether there are any. num, den on
+    the error, acc_num, acc_den on the accelerometer; kind 0 open, 1 on the error, 2 with the accelerometer, 3 less
+    acc_num on the encoder's readings. seg_*: (s,) step (s), steps, what happens at the start of the piece, which
+    matrix. a_all (m, nz, nz), b_all (m, nz, 7), g_all (m, 10, 7) = c_port b. c_load (nz,) motor torque less the
+    beam's torque on the base where there is no drive, axis_gain times u apart. z (nz,) start state, u the command
+    after the static chain before sample 0. Returns encoder, accel, command (n,) and the trace at the ticks (n,
+    TRACE).
     """
     n = len(reference)
     nz = len(z)
@@ -315,6 +317,9 @@ def run_kernel(
                     for m in range(1, len(den)):
                         if i - m >= 0:
                             v -= den[m] * recursion[i - m]
+                    if kind == 3:
+                        for m in range(len(acc_num)):
+                            v -= acc_num[m] * encoder[max(k0 - m, 0)]
                     v = min(max(v, -par[LIMIT]), par[LIMIT])
                 recursion[i] = v
                 command[i] = np.floor(v + 0.5) if par[ROUNDING] != 0.0 else v
@@ -338,6 +343,9 @@ def run_kernel(
                     for k in range(nz):
                         s += a[r, k] * z[k]
                     zf[r] = s
+                if disturbed:
+                    for r in range(nz):
+                        zf[r] += b[r, 0] * torque[i] + b[r, 3] * force[i] + b[r, 6] * drift[i] * u
                 for r in range(10):
                     s = 0.0
                     for k in range(nz):
@@ -410,6 +418,8 @@ def run_kernel(
                 time += h
             # What the accelerometer's filters give at the end of this piece.
             value = d_acc[6] * u
+            if disturbed:
+                value += d_acc[0] * torque[i] + d_acc[3] * force[i] + d_acc[6] * drift[i] * u
             if nonlinear:
                 drive = smooth_laws(ya, ya, 0.0, par, snag[i] != 0.0, q)
                 q[0] += lam_m

@@ -12,6 +12,7 @@ mass, 5 an acceleration added to the tip's (m/s^2), 6 the command after the stat
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -59,12 +60,17 @@ def beam_matrices(
 
 
 def reduced_beam(
-    beam: dict[str, Any], tip: dict[str, Any], elements: int = ELEMENTS, modes: int = MODES
+    beam: dict[str, Any],
+    tip: dict[str, Any],
+    elements: int = ELEMENTS,
+    modes: int = MODES,
+    detuning: Sequence[float] = (),
 ) -> tuple[Array, Array, Array, Array]:
     """Mass, stiffness, and rows of the tip's displacement and of the moment that bends the root, over [root
     rotation, mode 1, ..., mode `modes`].
 
-    With the root's translation fixed, a static root rotation carries the whole beam rigidly: w = x r.
+    With the root's translation fixed, a static root rotation carries the whole beam rigidly: w = x r. `detuning` are
+    factors on the modes' frequencies, for a beam that is not quite uniform.
     """
     mass, stiffness = beam_matrices(
         beam["mass_per_length"],
@@ -80,6 +86,8 @@ def reduced_beam(
     inner = slice(2, None)
     squares, shapes = eigh(stiffness[inner, inner], mass[inner, inner])
     modes = min(modes, len(squares))
+    for i, factor in enumerate(detuning[:modes]):
+        squares[i] *= factor**2
     basis = np.zeros((2 * elements + 2, 1 + modes))
     basis[:, 0] = rigid
     basis[inner, 1:] = shapes[:, :modes]
@@ -96,7 +104,7 @@ class Mechanics:
     stiffness: Array
     port: Array  # (PORTS, nq): rows that read a port's position, and along which its force acts
     encoder: Array  # row that the encoder reads
-    lift: Array  # (2, nq) columns: q for a unit common rotation, and q for a unit motor twist (motor alone)
+    lift: Array  # (3, nq) q for a unit common rotation, a unit motor twist (motor alone), a unit tip by the first mode
     load: Array  # (2, nq) rows on q and q': torque that the beam takes from the base, and motor.damping times speed
     has_tip: bool
 
@@ -107,6 +115,7 @@ def mechanics(
     without_drive: bool = False,
     elements: int = ELEMENTS,
     modes: int = MODES,
+    detuning: Sequence[float] = (),
 ) -> Mechanics:
     """Assemble the rig's bodies, springs and dampers.
 
@@ -120,7 +129,7 @@ def mechanics(
     beam = rig.get("beam")
     n_modes = 0
     if beam:
-        mb, kb, w_tip, bends = reduced_beam(beam, rig.get("tip") or {}, elements, modes)
+        mb, kb, w_tip, bends = reduced_beam(beam, rig.get("tip") or {}, elements, modes, detuning)
         n_modes = len(mb) - 1
     names += [f"mode{i}" for i in range(n_modes)]
     names += [n for n in ("second_appendage", "mount_compliance", "tip_rattle") if n in outside]
@@ -188,11 +197,13 @@ def mechanics(
     for n in names:
         tie[index[n], free.index(tied.get(n, n))] = 1.0
 
-    lift = np.zeros((2, size))
+    lift = np.zeros((3, size))
     lift[0, : len(names)] = [1.0 if n in ("motor", "base", "root", "second_appendage") else 0.0 for n in names]
     if "tip_rattle" in outside:
         lift[0, index["tip_rattle"]] = beam["length"]
     lift[1, index["motor"]] = 1.0
+    if n_modes:
+        lift[2, index["mode0"]] = 1.0 / w_tip[1]
     # The common rotation, read on the free coordinates.
     pick = [index[n] for n in free]
     reduced_mass = tie.T @ mass @ tie

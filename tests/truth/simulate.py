@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from . import kernel
+from .disturbance import Pushes
 from .plant import ELEMENTS, MODES, linear_system, mechanics, transition
 from .rigs import RigDict, with_constants
 
@@ -34,6 +35,9 @@ CONTROLLERS: dict[str, dict[str, Any]] = {
         "accel_numerator": list(GA_NUMERATOR),
         "accel_denominator": list(GA_DENOMINATOR),
     },
+    "pid": {"kind": "pid", "gain": 2.0, "integral": 0.5, "derivative": 0.03, "filter": 0.01},
+    "cascade": {"kind": "cascade", "position_gain": 6.0, "speed_gain": 0.25},
+    "filter": {"kind": "filter", "numerator": [1.2, -1.0], "denominator": [1.0, -0.85, 0.1]},
 }
 """The station's compensators in the form of a run's metadata."""
 
@@ -124,9 +128,11 @@ class Output:
 
 
 def compensator(controller: dict[str, Any], rate: float) -> tuple[int, Array, Array, Array, Array]:
-    """Kind, then numerator and denominator on the error, then on the accelerometer.
+    """Kind, then numerator and denominator on the error, then on the accelerometer; of a cascade the two gains
+    on the error and, in the accelerometer's place, what is taken off of the encoder's present and last reading.
 
-    gain (s + z)/(s + p) by s = 2 f (1 - q)/(1 + q), q the delay of one sample, at the nominal rate f.
+    gain (s + z)/(s + p) by s = 2 f (1 - q)/(1 + q), q the delay of one sample, at the nominal rate f; a PID's
+    integral and derivative alike, each by itself, and then over one denominator.
     """
     one, none = np.array([1.0]), np.array([0.0])
     kind = controller["kind"]
@@ -134,6 +140,22 @@ def compensator(controller: dict[str, Any], rate: float) -> tuple[int, Array, Ar
         return 0, one, one, none, one
     if kind == "p":
         return 1, np.array([float(controller["gain"])]), one, none, one
+    if kind == "cascade":
+        inner = float(controller["speed_gain"])
+        return 3, np.array([inner * controller["position_gain"]]), one, inner * rate * np.array([1.0, -1.0]), one
+    if kind == "filter":
+        den = np.array(controller["denominator"], float)
+        num = np.r_[np.zeros(len(den) - len(controller["numerator"])), controller["numerator"]]
+        return 1, num / den[0], den / den[0], none, one
+    if kind == "pid":
+        num, den = np.array([1.0]), one  # in powers of q
+        if controller["integral"]:
+            num, den = np.r_[1.0, -1.0] + controller["integral"] / (2 * rate) * np.r_[1.0, 1.0], np.r_[1.0, -1.0]
+        if controller["derivative"]:
+            slow = 2 * rate * controller["filter"]
+            lag, lead = np.r_[slow + 1, 1 - slow], 2 * rate * controller["derivative"] * np.r_[1.0, -1.0]
+            num, den = np.convolve(num, lag) + np.convolve(den, lead), np.convolve(den, lag)
+        return 1, controller["gain"] * num / den[0], den / den[0], none, one
     gain, zero, pole = (float(controller[k]) for k in ("gain", "zero", "pole"))
     top, bottom = np.array([2 * rate + zero, zero - 2 * rate]), np.array([2 * rate + pole, pole - 2 * rate])
     num, den = gain * top / bottom[0], bottom / bottom[0]
@@ -195,6 +217,7 @@ class Truth:
         step: float = 1e-4,
         elements: int = ELEMENTS,
         modes: int = MODES,
+        detuning: Sequence[float] = (),
     ) -> None:
         check_effects(rig, effects)
         values = {e["effect"].removeprefix("parameter:"): e["value"] for e in effects if ":" in e["effect"]}
@@ -212,7 +235,7 @@ class Truth:
         gap = get("backlash", "drive", "gap")
         drive_k3 = get("hardening_spring", "drive", "cubic")
         loose = gap > 0.0
-        mech = mechanics(rig, self.outside, without_drive=loose, elements=elements, modes=modes)
+        mech = mechanics(rig, self.outside, without_drive=loose, elements=elements, modes=modes, detuning=detuning)
         self.mech = mech
         self.gain = rig["motor"]["gain"]
         system = linear_system(
@@ -405,9 +428,10 @@ class Truth:
         accel_zero: float | None = None,
         rounding: bool = True,
         rng: np.random.Generator | None = None,
+        pushes: Pushes | None = None,
     ) -> Output:
         """One run. Angles in rad, `gap_place` in [-1, 1] of half the gap, offset and sigma in counts before
-        rounding.
+        rounding; `pushes` disturb it.
 
         `accel_zero` None: measured as the station does, the mean of 0.2 s at rest before the test.
         """
@@ -417,6 +441,13 @@ class Truth:
         noise = accel_sigma * rng.standard_normal(n)
         before = accel_sigma * rng.standard_normal(round(0.2 * rate))
         slip, snag = self._events(n, rng)
+        none = np.zeros(n)
+        state = self.start_state(start, start_angle, gap_place)
+        if pushes is not None:
+            noise = noise + pushes.noise
+            nq = self.system.nq
+            state[:nq] += pushes.bend * self.mech.lift[2]
+            state[nq : 2 * nq] += pushes.speed * self.mech.lift[0]
         p = self.par | {
             "acc_offset": accel_offset,
             "rounding": float(rounding),
@@ -439,6 +470,10 @@ class Truth:
             noise,
             slip,
             snag,
+            none if pushes is None else pushes.torque,
+            none if pushes is None else pushes.drift,
+            none if pushes is None else pushes.force,
+            pushes is not None,
             num,
             den,
             acc_num,
@@ -460,7 +495,7 @@ class Truth:
             s.d_acc,
             self.c_load,
             par,
-            self.start_state(start, start_angle, gap_place),
+            state,
             self.par["bias"],
             self.nonlinear,
         )
