@@ -73,14 +73,13 @@ def simulations(rig: Rig, runs: list[Run]) -> list[Simulation]:
     """The runs as the rig would have done them, starting angle and accelerometer offset estimated per run."""
     import numpy as np
 
-    from station.diagnose.heldout import settle, simulate_all
-    from station.diagnose.problem import Hypothesis, Problem
+    from station.diagnose.validation import simulate_runs
+    from station.estimation.dataset import dataset
+    from station.estimation.parameters import Hypothesis, parameters
 
-    problem = Problem(rig, runs)
-    layout = problem.layout(Hypothesis(), {})
-    still = np.zeros(layout.size)
-    start, offset = settle(problem, layout, still, problem.start, problem.offset)
-    return simulate_all(problem, layout, still, start, offset)
+    data = dataset(rig, runs)
+    space = parameters(data, Hypothesis(), {})
+    return simulate_runs(data, space, np.zeros(space.size), data.start, data.offset)
 
 
 def comparison_table(rig: str, found: list[dict[str, Any]]) -> Table:

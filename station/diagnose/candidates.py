@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from station.diagnose.problem import Hypothesis
-from station.model.effects import Effect, catalogue
+from station.estimation.parameters import Hypothesis
+from station.model.effects import Effect, Stage, catalogue
 from station.rig import Rig
 
 
@@ -22,6 +22,13 @@ class Candidate:
     def key(self) -> tuple[str, str]:
         """As the diagnosis file names it."""
         return (f"parameter:{self.constant}", "") if self.effect is None else (self.effect.name, self.at)
+
+    @property
+    def starts(self) -> int:
+        """Guesses from which fits begin: more where the objective has many valleys (angles, gaps)."""
+        if self.effect is None:
+            return 1
+        return 3 if self.effect.stage is Stage.GAP else min(1 + len(self.guesses) // 5, 4)
 
     @property
     def hypothesis(self) -> Hypothesis:

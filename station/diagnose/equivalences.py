@@ -33,19 +33,19 @@ import scipy.linalg
 from pydantic import ValidationError
 
 from station.diagnose.candidates import candidates
-from station.diagnose.posterior import UNITS, Key, Odds, normalised
-from station.diagnose.problem import WIDE, Problem
+from station.diagnose.odds import Odds, normalised
 from station.diagnose.result import NextExperiment, Rival, Verdict
-from station.diagnose.search import LOG_PRIOR, LOG_PRIOR_PARAMETER
+from station.diagnose.thresholds import LOG_PRIOR, LOG_PRIOR_PARAMETER, SURE
+from station.estimation.dataset import Dataset
+from station.estimation.parameters import WIDE, Key
 from station.model.effects import Effect, Stage, effect_class
+from station.model.units import UNITS
 from station.rig import Rig
 
 BELIEVABLE = 1e-3
 """Odds beforehand, against the set named, from which another set of wrong constants counts as one side."""
 FLOOR = 1e-3
 """Least probability stated for a rival that no data could rule out: nobody knows prior odds better than that."""
-SURE = 0.8
-"""Probability from which on the leading cause, or what is equivalent to it, stands alone."""
 LISTED, LONGEST_LIST = 0.005, 5
 """Least probability of a rival that is listed without an equivalence, and how many are."""
 INPUT, ENCODER = ("input_delay", "amplifier"), ("encoder_delay", "encoder")
@@ -373,11 +373,11 @@ TABLE: tuple[Equivalence, ...] = (
 """All known equivalences."""
 
 
-def standing(problem: Problem, causes: frozenset[Key], rig: Rig) -> list[Standing]:
+def standing(data: Dataset, causes: frozenset[Key], rig: Rig) -> list[Standing]:
     """The equivalences of which the named causes are one side; ``rig`` has the causes in it, as fitted."""
-    released = tuple(float(angle) for angle, run in zip(problem.start, problem.runs, strict=True)
+    released = tuple(float(angle) for angle, run in zip(data.start, data.runs, strict=True)
                      if run.metadata.start != "equilibrium")
-    return standing_in(Setting(problem.rig, problem.clock is not None, released), causes, rig)
+    return standing_in(Setting(data.rig, data.clock is not None, released), causes, rig)
 
 
 def standing_in(setting: Setting, causes: frozenset[Key], rig: Rig) -> list[Standing]:
@@ -402,7 +402,7 @@ def completed(odds: Odds, named: frozenset[Key], known: Sequence[Standing]) -> O
     for side in (side for row in known for side in row.sides):
         equal = scores[named] + min(side.log_odds, 0.0)
         scores[side.causes] = max(scores.get(side.causes, -math.inf), equal)
-    return normalised(scores) if known else odds
+    return normalised(scores, odds.stability) if known else odds
 
 
 def bound_rivals(named: frozenset[Key], cause: Key, known: Sequence[Standing]) -> set[Key]:

@@ -27,13 +27,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from station.diagnose.candidates import candidates
-from station.diagnose.estimate import NUISANCES, Fit
-from station.diagnose.noise import ACCEL_DEFAULT, QUANTISATION, correlation_time, rounding_shares
-from station.diagnose.posterior import Odds
-from station.diagnose.problem import ELEMENTS, LONGEST, LONGEST_GAP, TRUNCATION
+from station.diagnose.odds import Odds
 from station.diagnose.result import NextExperiment, Prediction, Verdict
-from station.diagnose.search import Search
+from station.diagnose.selection import Selection
 from station.diagnose.trials import Trial, most, trials
+from station.estimation.dataset import ELEMENTS
+from station.estimation.least_squares import Fit
+from station.estimation.likelihood import NUISANCES
+from station.estimation.noise import ACCEL_DEFAULT, QUANTISATION, correlation_time, rounding_shares
+from station.estimation.prediction import SEARCH
 from station.model.effects import Effect, Stage, catalogue
 from station.model.simulate import Model, Simulation, build, simulate_model
 from station.rig import Rig
@@ -377,23 +379,22 @@ def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]
 
 def _built(rig: Rig) -> Model:
     gap = any(effect.stage is Stage.GAP for effect in rig.effects)
-    return build(rig, TRUNCATION, LONGEST_GAP if gap else LONGEST)
+    return build(rig, SEARCH[0], SEARCH[2] if gap else SEARCH[1])
 
 
-def belief(search: Search, found: Fit) -> Belief:
+def belief(search: Selection, found: Fit) -> Belief:
     """A fitted hypothesis as its data leave it."""
-    problem, layout = search.problem, found.layout
-    values, vectors = np.linalg.eigh(found.covariance(search.temperature()))
+    values, vectors = np.linalg.eigh(found.covariance)
     widest = np.argsort(-values)[:AXES]
     axes = vectors[:, widest] * np.sqrt(np.maximum(values[widest], 0.0))
-    return Belief(_words(frozenset(layout.hypothesis.causes())), found.x, axes, lambda x: problem.model(layout, x))
+    return Belief(_words(found.key), found.x, axes, lambda x: search.predictor.model(found.space, x))
 
 
-def _plain(search: Search, found: Fit) -> Belief:
+def _plain(search: Selection, found: Fit) -> Belief:
     """The rig of a fitted hypothesis without its effects, which cost time, and as uncertain as before any run."""
-    layout = search.fits[frozenset()].layout
-    x = np.linalg.solve(layout.root, found.logs)
-    return Belief("the rig as fitted", x, np.eye(len(x)), lambda x: search.problem.model(layout, x))
+    space = search.fits[frozenset()].space
+    x = space.carried(found.space, found.x)
+    return Belief("the rig as fitted", x, np.eye(len(x)), lambda x: search.predictor.model(space, x))
 
 
 def _addable(rig: Rig, held: frozenset[Key] = frozenset()) -> list[tuple[str, Effect]]:
@@ -407,18 +408,19 @@ def _addable(rig: Rig, held: frozenset[Key] = frozenset()) -> list[tuple[str, Ef
     return found
 
 
-def _sigma(search: Search) -> np.ndarray:
+def _sigma(search: Selection) -> np.ndarray:
     """Noise of a planned run; where a model misses something, the size of that, spread over its samples."""
-    problem = search.problem
-    temper = np.mean(problem.temper, axis=0) * search.temperature()
-    return problem.sigma[: problem.channels] * np.sqrt(temper)
+    data, best = search.predictor.data, search.best()
+    left = np.mean(np.maximum(best.squares / np.maximum(search.weighing.independent, 1.0), 1.0), axis=0)
+    channel = search.predictor.channel
+    return data.sigma * np.sqrt([left[channel == c][-1] for c in range(data.channels)])
 
 
-def choose(search: Search, odds: Odds, verdict: Verdict) -> Choice:
+def choose(search: Selection, odds: Odds, verdict: Verdict) -> Choice:
     """What to do next, by sets of causes that were fitted."""
-    problem = search.problem
-    runs = list({id(run.t): run for run in problem.runs}.values())
-    planner = Planner(problem.rig, _sigma(search), problem.pool, runs)
+    data = search.predictor.data
+    runs = list({id(run.t): run for run in data.runs}.values())
+    planner = Planner(data.rig, _sigma(search), search.predictor.pool, runs)
     fitted = [(keys, p) for keys, p in odds.sets if keys in search.fits]
     best, top = fitted[0]
     rivals = [(keys, p) for keys, p in fitted[:LEADING] if p >= UNLIKELY * top]
@@ -427,7 +429,7 @@ def choose(search: Search, odds: Odds, verdict: Verdict) -> Choice:
     if contested:
         causes = sorted({key for keys, _ in rivals for key in keys})
         beliefs = [belief(search, search.fits[keys]) for keys, _ in rivals]
-        found = planner.best(between(planner, beliefs, [p for _, p in rivals]), trials(problem.rig, causes))
+        found = planner.best(between(planner, beliefs, [p for _, p in rivals]), trials(data.rig, causes))
         if found is not None and found.decides:
             return _choice(replace(found, why=found.why + _telling(best)))
         if verdict == "ambiguous":
@@ -435,8 +437,8 @@ def choose(search: Search, odds: Odds, verdict: Verdict) -> Choice:
                            "this station can run, within what refitted constants absorb"
                            + (f" (chi^2 = {found.distance:.1f} at most)" if found is not None else ""))
     fit = search.fits[best]
-    judge = showing(planner, _plain(search, fit), _addable(problem.rig, best), [belief(search, fit)])
-    plan = _choice(planner.best(judge, trials(problem.rig)))
+    judge = showing(planner, _plain(search, fit), _addable(data.rig, best), [belief(search, fit)])
+    plan = _choice(planner.best(judge, trials(data.rig)))
     if undecidable is not None:
         return Choice(NextExperiment(test=None, why=undecidable), None, plan.next, plan.unseen)
     return plan

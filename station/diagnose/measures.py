@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from station.diagnose.noise import QUANTISATION
+from station.estimation.noise import QUANTISATION
 from station.model.simulate import Simulation
 from station.runs.run import Run
 

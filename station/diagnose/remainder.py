@@ -6,40 +6,43 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from station.diagnose.estimate import Fit
-from station.diagnose.problem import Problem
+from station.diagnose.thresholds import NOISE
+from station.estimation.dataset import Dataset
+from station.estimation.least_squares import Fit
+from station.estimation.prediction import Predictor
 
 
 @dataclass(frozen=True)
 class Remainder:
-    """What a fit leaves, per run and channel, against what noise would leave."""
+    """What a fit leaves, per run and block, against what noise would leave."""
 
     size: np.ndarray
-    """(runs, channels) z-score of the mean square."""
+    """(runs, b) z-score of the mean square."""
     slow: np.ndarray
-    """(runs, channels) z-score of the mean square of sums over SPAN samples: structure, not noise."""
+    """(runs, b) z-score of the mean square of sums over SPAN samples: structure, not noise."""
 
     @property
     def is_noise(self) -> bool:
         """Whether nothing stands out."""
-        return bool(self.size.max() < 6.0 and self.slow.max() < 6.0)
+        return bool(self.size.max() < NOISE and self.slow.max() < NOISE)
 
 
 SPAN = 25
 """Samples."""
 
 
-def remainder(problem: Problem, found: Fit) -> Remainder:
-    """Judge the residuals of a fit.
+def remainder(predictor: Predictor, found: Fit) -> Remainder:
+    """Judge the errors of a fit.
 
     Errors count by their share.  A sum over SPAN samples has the variance SPAN where errors last 1/share < SPAN
     samples, and (sum sqrt(share))^2 where one error lasts all through.
     """
+    data: Dataset = predictor.data
     size, slow = [], []
-    for scaled, share, temper in zip(found.residuals, problem.share, problem.temper, strict=True):
-        e = scaled * np.sqrt(temper)[:, None]
+    for e, own in zip(found.residuals, data.share, strict=True):
+        share = own[predictor.channel]
         independent = np.maximum(share.sum(axis=1), 1e-9)
-        spread = np.sqrt(3.0 / independent + 3.0 / problem.noise_rows)
+        spread = np.sqrt(3.0 / independent + 3.0 / data.noise_rows)
         size.append((np.sum(e * e, axis=1) / independent - 1.0) / spread)
         rows = e.shape[1] // SPAN * SPAN
         sums = e[:, :rows].reshape(len(e), -1, SPAN).sum(axis=2) ** 2

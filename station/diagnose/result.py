@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from station import __version__
 from station.model.simulate import Simulation
 from station.rig import Rig
 from station.runs.run import Run
@@ -55,6 +56,8 @@ class Cause(_Table):
     at: str
     probability: float
     parameters: dict[str, Estimate]
+    stability: float = 1.0
+    """Share of resamples of the data in which it is named."""
     rivals: list[Rival] = Field(default_factory=list)
 
 
@@ -65,6 +68,20 @@ class ChannelGain(_Table):
     nrmse_after: float
 
 
+class RunGain(_Table):
+    """One run that the fit behind it has not seen."""
+
+    run: str
+    encoder: ChannelGain | None = None
+    accel: ChannelGain | None = None
+    ahead: dict[str, ChannelGain] = Field(default_factory=dict)
+    """The encoder, predicted so far ahead."""
+    measured: dict[str, float | None] = Field(default_factory=dict)
+    before: dict[str, float | None] = Field(default_factory=dict)
+    after: dict[str, float | None] = Field(default_factory=dict)
+    """Step measures."""
+
+
 class Gain(_Table):
     """What the extended rig buys on runs that no fit has seen."""
 
@@ -72,6 +89,15 @@ class Gain(_Table):
     encoder: ChannelGain | None = None
     accel: ChannelGain | None = None
     explained_fraction: float | None = None
+    runs: list[RunGain] = Field(default_factory=list)
+
+
+class Disturbance(_Table):
+    """Standard deviation of the torque that is missing at the motor, as a share of the command's rms torque."""
+
+    nominal: float
+    refitted: float
+    extended: float
 
 
 class NextExperiment(_Table):
@@ -79,6 +105,22 @@ class NextExperiment(_Table):
 
     test: dict[str, Any] | None
     why: str
+
+
+class Ranked(_Table):
+    """A candidate, named or not."""
+
+    effect: str
+    at: str
+    probability: float
+    note: str = ""
+
+
+class RunFile(_Table):
+    """A run that was used, and its file where it came from one."""
+
+    run: str
+    file_sha256: str | None = None
 
 
 class Diagnosis(_Table):
@@ -90,6 +132,12 @@ class Diagnosis(_Table):
     causes: list[Cause] = Field(default_factory=list)
     gain: Gain
     next_experiment: NextExperiment | None = None
+    disturbance: Disturbance | None = None
+    ranking: list[Ranked] = Field(default_factory=list)
+    rig: str = ""
+    runs: list[RunFile] = Field(default_factory=list)
+    effort: str = ""
+    version: str = __version__
 
     model_config = ConfigDict(extra="forbid", populate_by_name=True)
 
@@ -117,6 +165,7 @@ class RankedCause:
     at: str
     probability: float
     delta_chi2: float
+    """Fall of -2 ln L, alone or as part of its note's set."""
     held_out_gain: float | None
     """Share of the re-fitted rig's error on unseen runs that it takes away, by fits that left them out."""
     parameters: dict[str, Estimate]

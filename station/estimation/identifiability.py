@@ -23,7 +23,7 @@ from typing import Literal
 import numpy as np
 import scipy.linalg
 
-from station.diagnose.problem import FARTHEST, Layout
+from station.estimation.parameters import FARTHEST, Parameters
 
 State = Literal["determined", "at_bound", "traded_off", "not_excited"]
 HALF = 0.5
@@ -66,30 +66,20 @@ def states(covariance: np.ndarray, prior: np.ndarray, bounded: Collection[int] =
     return found
 
 
-def layout_states(layout: Layout, covariance: np.ndarray, x: np.ndarray) -> list[ValueState]:
+def parameter_states(space: Parameters, covariance: np.ndarray, x: np.ndarray) -> list[ValueState]:
     """States of a hypothesis' parameters in the order of x, constants as logarithms.
 
     ``covariance`` (p, p) is the posterior's in the coordinates of x, as ``Fit.covariance`` gives it.
     """
-    n = len(layout.paths)
-    to_logs = scipy.linalg.block_diag(layout.root, np.eye(layout.size - n))
-    prior = to_logs @ np.diag(1.0 / layout.prior_precision) @ to_logs.T
-    bounded = [i for i, log in enumerate(layout.root @ x[:n]) if abs(log) >= FARTHEST]
-    for i, coordinate in enumerate(layout.coordinates):
+    n = len(space.paths)
+    to_logs = scipy.linalg.block_diag(space.root, np.eye(space.size - n))
+    prior = to_logs @ np.diag(1.0 / space.precision) @ to_logs.T
+    bounded = [i for i, log in enumerate(space.logs(x)) if abs(log) >= FARTHEST]
+    for k, coordinate in enumerate(space.coordinates, space.parts["effects"].start):
         info = coordinate.info
-        if not info.periodic and coordinate.to_value(x[n + i]) in (info.low, info.high):
-            bounded.append(n + i)
+        if not info.periodic and coordinate.to_value(x[k]) in (info.low, coordinate.high):
+            bounded.append(k)
     return states(to_logs @ covariance @ to_logs.T, prior, bounded)
-
-
-def value_names(layout: Layout) -> list[str]:
-    """Names of a hypothesis' parameters in the order of x: ``motor.gain``, ``coulomb_friction@motor.torque``."""
-    names = list(layout.paths)
-    for coordinate in layout.coordinates:
-        cls, at = layout.hypothesis.effects[coordinate.effect]
-        names.append(f"{cls.name}@{at}.{coordinate.name}")
-    names += [f"encoder zero {k + 2}" for k in range(layout.zeros)]
-    return names + [f"place in the gap, run {k + 1}" for k in range(layout.gap_places)]
 
 
 def trades(names: Sequence[str], found: Sequence[ValueState]) -> list[str]:

@@ -182,10 +182,9 @@ class _Descent:
                  parallel: bool) -> None:
         self.predictor, self.space, self.weighing, self.runs, self.parallel = predictor, space, weighing, runs, parallel
         data = self.data = predictor.data
-        self.scale = [block_scale(data, r, predictor.blocks) for r in range(len(data.runs))]
-        repeats = (predictor.blocks // data.channels, 1)
-        self.measured = [np.tile(m[: data.channels], repeats) for m in data.measured]
-        self.counts = block_counts(data, predictor.blocks)
+        self.scale = [block_scale(data, r, predictor.channel) for r in range(len(data.runs))]
+        self.measured = [m[predictor.channel] for m in data.measured]
+        self.counts = block_counts(data, predictor.channel)
         self.nuisance = nuisance_precision(data)
         self.steps = np.full(space.size + data.channels, STEP)
         self.steps[space.parts["places"]] = PLACE_STEP
@@ -279,11 +278,11 @@ class _Descent:
     def information(self, here: _Point, jac: list[np.ndarray]) -> Information:
         """Sums over the stretches."""
         data, stretches = self.data, len(self.data.segment_run)
-        size, blocks = len(jac[0]), self.predictor.blocks
+        size, blocks = len(jac[0]), len(self.predictor.channel)
         squares, counts = np.zeros((stretches, blocks)), np.zeros((stretches, blocks))
         normal, gradient = np.zeros((stretches, blocks, size, size)), np.zeros((stretches, blocks, size))
         for r, (j, e) in enumerate(zip(jac, here.residuals, strict=True)):
-            share = np.tile(data.share[r], (blocks // data.channels, 1))
+            share = data.share[r][self.predictor.channel]
             edges = np.flatnonzero(np.diff(data.segment[r], prepend=-1))
             for s, (begin, end) in zip(data.segment[r][edges], zip(edges, [*edges[1:], len(data.segment[r])],
                                                                    strict=True), strict=True):
@@ -371,10 +370,9 @@ def inherited(parent: Fit, space: Parameters) -> list[np.ndarray]:
     return found
 
 
-def weighing_of(predictor: Predictor, found: Fit, blocks: np.ndarray | None = None) -> Weighing:
+def weighing_of(predictor: Predictor, found: Fit) -> Weighing:
     """What the blocks count for where a fit's errors are taken for what a model of this rig leaves."""
-    data = predictor.data
-    independent = blocks_independent(data, found.residuals) if blocks is None else blocks
+    independent = blocks_independent(predictor.data, predictor.channel, found.residuals)
     cold = Weighing(independent, 1.0)
     curvature, _ = found.normal(cold)
     slopes = _stretch_slopes(found, cold)

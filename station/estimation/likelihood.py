@@ -44,15 +44,17 @@ class Weighing:
     temperature: float
 
 
-def block_scale(data: Dataset, run: int, blocks: int) -> np.ndarray:
-    """(b, n) square root of the independent errors per sample over the noise's variance, 1/counts."""
-    one = np.sqrt(data.share[run]) / data.sigma[:, None]
-    return np.tile(one, (blocks // data.channels, 1))
+def block_scale(data: Dataset, run: int, channel: np.ndarray) -> np.ndarray:
+    """(b, n) square root of the independent errors per sample over the noise's variance, 1/counts.
+
+    ``channel`` (b): the channel of every block.
+    """
+    return (np.sqrt(data.share[run]) / data.sigma[:, None])[channel]
 
 
-def block_counts(data: Dataset, blocks: int) -> np.ndarray:
+def block_counts(data: Dataset, channel: np.ndarray) -> np.ndarray:
     """(runs, b) n."""
-    return np.maximum(np.tile(data.counts, (1, blocks // data.channels)), 1e-9)
+    return np.maximum(data.counts[:, channel], 1e-9)
 
 
 def rho(ratio: np.ndarray) -> np.ndarray:
@@ -83,9 +85,9 @@ def independent_errors(errors: np.ndarray, counts: float) -> float:
     return counts * min(1.0 / max(1.0 / white - 1.0 / width, 1.0), 1.0)
 
 
-def blocks_independent(data: Dataset, residuals: list[np.ndarray]) -> np.ndarray:
+def blocks_independent(data: Dataset, channel: np.ndarray, residuals: list[np.ndarray]) -> np.ndarray:
     """(runs, b) N of every block, from errors scaled by ``block_scale``."""
-    counts = block_counts(data, residuals[0].shape[0])
+    counts = block_counts(data, channel)
     found = np.array([[independent_errors(row, counts[r, b]) for b, row in enumerate(e)]
                       for r, e in enumerate(residuals)])
     return np.minimum(np.maximum(found, 1.0), counts)

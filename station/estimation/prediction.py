@@ -10,9 +10,9 @@ controller closed the loop: the direct method (Ljung 1999, section 13.4).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -66,17 +66,21 @@ def predict(model: Model, observer: Observer, measured: np.ndarray, command: np.
 
 @dataclass(frozen=True, eq=False)
 class Predictor:
-    """Data, observers and accuracy: all that predictions need beside parameters.  b = horizons x channels blocks."""
+    """Data, observers and accuracy: all that predictions need beside parameters.
+
+    b blocks: the encoder at every horizon; the accelerometer at one alone, for nothing of it is fed back and a beam
+    rings by itself, so that its errors are the same at all.
+    """
 
     data: Dataset
     observers: tuple[Observer, ...]
     pool: Executor
     accuracy: Accuracy = SEARCH
 
-    @property
-    def blocks(self) -> int:
-        """Horizons times channels."""
-        return len(self.observers) * self.data.channels
+    @cached_property
+    def channel(self) -> np.ndarray:
+        """(b) the channel of every block."""
+        return np.array([0] * len(self.observers) + [1] * (self.data.channels - 1))
 
     def model(self, space: Parameters, x: np.ndarray) -> Model:
         """The rig that a parameter vector describes, made ready for the many simulations of a fit."""
@@ -84,15 +88,15 @@ class Predictor:
         return build(space.rig_at(x), truncation, longest_gap if space.gap_places else longest)
 
     def run(self, model: Model, space: Parameters, x: np.ndarray, run: int, start: float, offset: float,
-            observers: Sequence[Observer] | None = None) -> np.ndarray:
+            ) -> np.ndarray:
         """One run's predictions (b, n), counts; ``start`` (rad) is what the encoder reads at sample 0."""
         data = self.data
         meta, zero = data.runs[run].metadata, space.zero(x, data.zero_group[run])
         found = [predict(model, observer, data.measured[run], np.ascontiguousarray(data.runs[run].command, dtype=float),
                          start_angle=angle_that_reads(model.rig, start, zero), offset=offset, zero=zero,
-                         gap_place=space.place(x, run), equilibrium=meta.start == "equilibrium")[0][: data.channels]
-                 for observer in (self.observers if observers is None else observers)]
-        return np.concatenate(found)
+                         gap_place=space.place(x, run), equilibrium=meta.start == "equilibrium")[0]
+                 for observer in self.observers]
+        return np.stack([y[0] for y in found] + [found[len(found) // 2][1]] * (data.channels - 1))
 
     def runs(self, space: Parameters, x: np.ndarray, start: np.ndarray, offset: np.ndarray, *,
              parallel: bool = False) -> list[np.ndarray]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from station.diagnose.noise import QUANTISATION, noise_sigmas
+from station.estimation.noise import QUANTISATION, noise_sigmas
 from station.errors import WorkError
 from station.model.frequency import finite_element_response, measured_response
 from station.model.simulate import Model, build, simulate_model

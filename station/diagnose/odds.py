@@ -1,0 +1,149 @@
+"""From fits to odds: probabilities over sets of causes that hold when the data are drawn again, and intervals.
+
+The posterior over sets is averaged over resamples of the runs' stretches (bagged posterior: Huggins and Miller,
+Bayesian Analysis 18, 2023), each stretch weighing as much as a draw of the Bayesian bootstrap says (Rubin, Ann. Stat. 9,
+1981).  Where no model is quite right a posterior of all data is sure of whichever wins by a little; the average is as
+sure as the data would be if they came again.  The share of resamples in which a cause is in the best set is its
+stability; it counts the resamples and the runs left out one by one alike.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from station.diagnose.result import Estimate
+from station.diagnose.selection import Selection
+from station.diagnose.thresholds import BEYOND, CLOSE
+from station.estimation.identifiability import parameter_states
+from station.estimation.least_squares import Fit
+from station.estimation.parameters import Causes, Key
+from station.model.units import UNITS
+
+RESAMPLES = 100
+SEED = 20240229
+
+
+@dataclass(frozen=True)
+class Odds:
+    """Probabilities of the fitted sets and of every cause."""
+
+    sets: list[tuple[Causes, float]]
+    """Best first."""
+    causes: dict[Key, float]
+    nothing: float
+    stability: dict[Key, float]
+    """Share of resamples in which the cause is in the best set."""
+
+    def replacements(self, best: Causes, cause: Key) -> dict[Key, float]:
+        """For each cause outside the best set: the probability of sets that hold it instead of ``cause``."""
+        found: dict[Key, float] = {}
+        for keys, probability in self.sets:
+            if cause in keys:
+                continue
+            for key in keys - best:
+                found[key] = found.get(key, 0.0) + probability
+        return found
+
+
+def resamples(search: Selection) -> np.ndarray:
+    """(k, stretches): how often each stretch counts; leaving out each run once, where there are several, then draws."""
+    owner = search.predictor.data.segment_run
+    draws = np.random.default_rng(SEED).exponential(size=(RESAMPLES, len(owner)))
+    draws *= len(owner) / draws.sum(axis=1, keepdims=True)
+    runs = np.unique(owner)
+    left_out = np.array([(owner != r).astype(float) for r in runs]) if len(runs) > 2 else np.zeros((0, len(owner)))
+    return np.concatenate([left_out, draws])
+
+
+def odds(search: Selection) -> Odds:
+    """Bagged odds of all fitted sets; a constant within BEYOND sigma of nominal is not a cause."""
+    allowed = [(keys, found) for keys, found in search.fits.items() if all(is_beyond(search, found, k) for k in keys)]
+    whole = np.array([search.score(found) for _, found in allowed])
+    near = [k for k in range(len(allowed)) if whole[k] > whole.max() - 2.0 * CLOSE]
+    drawn = resamples(search)
+    scores = np.array([[search.score(allowed[k][1], draw) for k in near] for draw in drawn])
+    weights = np.exp(scores - scores.max(axis=1, keepdims=True))
+    bagged = (weights / weights.sum(axis=1, keepdims=True))[-RESAMPLES:].mean(axis=0)
+    chosen = [allowed[near[k]][0] for k in scores.argmax(axis=1)]
+    stability: dict[Key, float] = {}
+    for keys in chosen:
+        for key in keys:
+            stability[key] = stability.get(key, 0.0) + 1.0 / len(chosen)
+    return _odds([(allowed[k][0], float(p)) for k, p in zip(near, bagged, strict=True)], stability)
+
+
+def normalised(scores: dict[Causes, float], stability: dict[Key, float]) -> Odds:
+    """Odds from the log weight of every set."""
+    top = max(scores.values())
+    weights = [(keys, math.exp(max(score - top, -700.0))) for keys, score in scores.items()]
+    total = sum(w for _, w in weights)
+    return _odds([(keys, w / total) for keys, w in weights], stability)
+
+
+def _odds(found: Sequence[tuple[Causes, float]], stability: dict[Key, float]) -> Odds:
+    sets = sorted(found, key=lambda row: (-row[1], sorted(row[0])))
+    causes: dict[Key, float] = {}
+    for keys, probability in sets:
+        for key in sorted(keys):
+            causes[key] = causes.get(key, 0.0) + probability
+    return Odds(sets, causes, sum(p for keys, p in sets if not keys), stability)
+
+
+def deviation(found: Fit, sigma: dict[str, float], covariance: np.ndarray, path: str) -> float:
+    """How far a constant is from nominal, in its own sigma, given what the others say of a common factor."""
+    paths = found.space.paths
+    i = paths.index(path)
+    shared = [j for j in range(len(paths)) if j != i and covariance[i, j] != 0.0]
+    expected, variance = 0.0, covariance[i, i]
+    if shared:
+        gain = np.linalg.solve(covariance[np.ix_(shared, shared)], covariance[shared, i])
+        expected = float(gain @ found.logs[shared])
+        variance -= float(gain @ covariance[shared, i])
+    return abs(float(found.logs[i]) - expected) / math.sqrt(max(variance, sigma[path] ** 2))
+
+
+def is_beyond(search: Selection, found: Fit, key: Key) -> bool:
+    """Whether a cause may be accused: any effect, and a constant beyond BEYOND of its own sigma."""
+    if not key[0].startswith("parameter:"):
+        return True
+    rig, path = search.predictor.data.rig, key[0].split(":", 1)[1]
+    paths = list(rig.constants())
+    return deviation(found, {p: rig.sigma(p) for p in paths}, rig.log_covariance(paths), path) > BEYOND
+
+
+def estimates(found: Fit, rougher: Fit | None = None) -> tuple[dict[Key, dict[str, Estimate]], dict[str, Estimate]]:
+    """Fitted parameters of each cause, and the rig's constants, with 95 % intervals.
+
+    ``rougher``: the same set fitted with coarser simulations; how far it lies from ``found`` is what the simulation's
+    own steps leave uncertain, and is added to the variance.
+    """
+    space, covariance = found.space, found.covariance
+    shift = np.zeros(space.size) if rougher is None else found.x - rougher.x
+    deviations = np.sqrt(np.diag(covariance) + shift**2)
+    found_states = parameter_states(space, covariance, found.x)
+    n = len(space.paths)
+    nominal = space.rig.constants()
+    log_sd = np.sqrt(np.diag(space.root @ covariance[:n, :n] @ space.root.T) + (space.root @ shift[:n]) ** 2)
+    constants = {}
+    for i, path in enumerate(space.paths):
+        value, spread = nominal[path] * math.exp(found.logs[i]), math.exp(1.96 * log_sd[i])
+        ends = sorted((value / spread, value * spread))
+        constants[path] = Estimate(value=value, low=ends[0], high=ends[1], unit=UNITS[path],
+                                   state=found_states[i].state)
+    causes: dict[Key, dict[str, Estimate]] = {}
+    for k, coordinate in enumerate(space.coordinates, space.parts["effects"].start):
+        cls, at = space.hypothesis.effects[coordinate.effect]
+        low, value, high = (found.x[k] + s * 1.96 * deviations[k] for s in (-1.0, 0.0, 1.0))
+        ends = (coordinate.to_value(low), coordinate.to_value(value), coordinate.to_value(high))
+        if coordinate.info.periodic and (high - low) * coordinate.scale >= 2.0 * math.pi:
+            ends = (-math.pi, ends[1], math.pi)
+        causes.setdefault((cls.name, at), {})[coordinate.name] = Estimate(
+            value=float(ends[1]), low=float(ends[0]), high=float(ends[2]), unit=coordinate.info.unit,
+            state=found_states[k].state)
+    for path in space.hypothesis.constants:
+        causes[(f"parameter:{path}", "")] = {"value": constants[path]}
+    return causes, constants

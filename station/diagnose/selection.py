@@ -1,0 +1,252 @@
+"""Selecting causes: fit the rig alone, then one cause more at a time, and judge every set by one score.
+
+Each rung screens all causes on top of the best set so far (``screening``), fits those that promise most, and looks
+back: a set must hold against every set with one cause less.  What the blocks of errors count for (``Weighing``) is read
+off the best set and is the same for all sets that are compared; with it the score is a pure function of a fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from station.diagnose.candidates import Candidate, candidates
+from station.diagnose.screening import Screened, screen
+from station.diagnose.thresholds import (
+    CLOSE,
+    LOG_PRIOR,
+    LOG_PRIOR_PARAMETER,
+    SETTLED_SHARE,
+    WORTH_A_FIT,
+)
+from station.estimation.least_squares import LOST, Fit, fit, inherited, weighing_of
+from station.estimation.likelihood import Weighing, block_counts
+from station.estimation.parameters import Causes, Hypothesis, Key, Sizes, parameters
+from station.estimation.prediction import FINE, Predictor
+from station.model.effects import Stage
+
+BEGIN = 0.02
+"""Share of all samples that count as independent before anything is known of the errors."""
+QUICK_STEPS, STEPS = 8, 25
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How far a search goes."""
+
+    tried: int
+    """Causes that are fitted on each rung, with derivatives of the parent."""
+    finished: int
+    """Of these, how many are fitted to the end."""
+    pairs: int
+    """Pairs of causes that are fitted on each rung."""
+    rungs: int
+    """Most causes in one set."""
+
+
+EFFORTS = {"quick": Effort(6, 2, 1, 2), "full": Effort(12, 4, 3, 3)}
+
+
+@dataclass
+class Selection:
+    """All fits by their set of causes, and what errors count for."""
+
+    predictor: Predictor
+    effort: Effort
+    weighing: Weighing
+    fits: dict[Causes, Fit] = field(default_factory=dict)
+    screened: list[Screened] = field(default_factory=list)
+    """Of the first rung."""
+
+    def score(self, found: Fit, drawn: np.ndarray | None = None) -> float:
+        """Log posterior of a set of causes, up to a constant; ``drawn``: of resampled stretches."""
+        hypothesis = found.space.hypothesis
+        further = sum(len(cls.parameters()) - 1 for cls, _ in hypothesis.effects) + found.space.zeros
+        score = (found.log_evidence(self.weighing, drawn) + LOG_PRIOR * len(hypothesis.causes)
+                 + LOG_PRIOR_PARAMETER * further + self._clock_score(hypothesis))
+        return score if np.isfinite(score) else -np.inf
+
+    def _clock_score(self, hypothesis: Hypothesis) -> float:
+        """What the clocks' own comparison says against a hypothesis that leaves the board's clock right."""
+        clock = self.predictor.data.clock
+        if clock is None or any(cls.stage is Stage.CLOCK for cls, _ in hypothesis.effects):
+            return 0.0
+        return -0.5 * ((clock[0] - 1.0) / clock[1]) ** 2
+
+    def best(self) -> Fit:
+        """The set of causes with the highest posterior."""
+        return max(self.fits.values(), key=self.score)
+
+    def keep(self, found: Fit) -> None:
+        """Remember a fit; of the same causes the better one."""
+        old = self.fits.get(found.key)
+        if old is None or self.score(found) > self.score(old):
+            self.fits[found.key] = found.light
+
+    def weigh(self, found: Fit) -> None:
+        """Take what a fit leaves for what models of this rig leave."""
+        self.weighing = weighing_of(self.predictor, found)
+
+
+def settled(predictor: Predictor, found: Fit, rounds: int = 4) -> Fit:
+    """A fit under the weighing that its own errors give."""
+    for _ in range(rounds):
+        before = found.weighing
+        now = weighing_of(predictor, found)
+        found = fit(predictor, found.space, now, found.x, found.start, found.offset)
+        if np.all(np.abs(np.log(now.independent / before.independent)) < SETTLED_SHARE):
+            break
+    return found
+
+
+def base_fit(predictor: Predictor) -> Fit:
+    """The best rig without further causes."""
+    space = parameters(predictor.data, Hypothesis(), {})
+    first = Weighing(BEGIN * block_counts(predictor.data, predictor.channel), 1.0)
+    return settled(predictor, fit(predictor, space, first, space.mean.copy(), tolerance=1.0))
+
+
+def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float], None]) -> Selection:
+    """The whole search."""
+    progress("fitting the nominal rig's constants", 0.05)
+    parent = base_fit(predictor)
+    search = Selection(predictor, effort, parent.weighing)
+    search.keep(parent)
+    pool = candidates(predictor.data.rig)
+    climbed: set[Causes] = set()
+    while len(parent.key) < effort.rungs and parent.key not in climbed:
+        climbed.add(parent.key)
+        rung = len(parent.key)
+        if rung > 0 and predictor.data.clock is None:
+            # Beside another cause a clock is but one more way to move the constants, which no data tell from theirs.
+            pool = [c for c in pool if c.effect is None or c.effect.stage is not Stage.CLOCK]
+        share = (0.1 + 0.7 * rung / effort.rungs, 0.1 + 0.7 * (rung + 1) / effort.rungs)
+        _climb(search, parent, [c for c in pool if c.key not in parent.key], share, progress)
+        best = search.best()
+        if best.key == parent.key:
+            break
+        best = settled(predictor, best)
+        search.weigh(best)
+        search.keep(best)
+        _look_back(search, best)
+        parent = _with_derivatives(search, search.best())
+    progress("fitting rivals as far as the best", 0.82)
+    _finish(search)
+    return search
+
+
+def _with_derivatives(search: Selection, found: Fit) -> Fit:
+    """The same set, fitted under the weighing in force, with derivatives to hand on."""
+    again = fit(search.predictor, found.space, search.weighing, found.x, found.start, found.offset)
+    search.keep(again)
+    return again
+
+
+def _climb(search: Selection, parent: Fit, pool: list[Candidate], share: tuple[float, float],
+           progress: Callable[[str, float], None]) -> None:
+    """Fit the most promising further causes on top of a parent."""
+    predictor, effort = search.predictor, search.effort
+    screened, pairs = screen(predictor, parent, pool)
+    if not search.screened:
+        search.screened = screened
+    starts: list[tuple[Screened, ...]] = []
+    per_key: dict[Key, int] = {}
+    for one in screened:
+        key = one.candidate.key
+        if one.gain < WORTH_A_FIT or key not in per_key and len(per_key) == effort.tried:
+            continue
+        if per_key.get(key, 0) < one.candidate.starts:
+            per_key[key] = per_key.get(key, 0) + 1
+            starts.append((one,))
+    if len(parent.key) + 2 <= effort.rungs + 1:
+        starts += [pair for pair in pairs[: effort.pairs] if pair[0].gain > WORTH_A_FIT]
+
+    def quick(start: tuple[Screened, ...]) -> Fit | None:
+        return begun(predictor, parent, start, search.weighing)
+
+    found: dict[Causes, Fit] = {}
+    for k, one in enumerate(predictor.pool.map(quick, starts)):
+        progress(f"tried {' + '.join(s.candidate.hypothesis.label for s in starts[k])}",
+                 share[0] + (share[1] - share[0]) * 0.6 * (k + 1) / len(starts))
+        if one is not None:
+            search.keep(one)
+            if one.key not in found or one.objective < found[one.key].objective:
+                found[one.key] = one
+    ranked = sorted(found.values(), key=lambda f: -search.score(f))[: effort.finished]
+    _refit(search, [search.fits[f.key] for f in ranked], search.weighing,
+           lambda k, label: progress(f"fitted {label}",
+                                     share[0] + (share[1] - share[0]) * (0.6 + 0.4 * (k + 1) / len(ranked))))
+
+
+def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened], weighing: Weighing) -> Fit | None:
+    """A parent's hypothesis with further causes, a few steps from where screening put them; None where it is lost."""
+    hypothesis, centres, first = parent.space.hypothesis, parent.space.values(parent.space.mean), {}
+    for one in start:
+        hypothesis, centres, first = (hypothesis + one.candidate.hypothesis, {**centres, **one.centre},
+                                      {**first, **one.start})
+    space = parameters(predictor.data, hypothesis, centres)
+    with suppress(*LOST):
+        return fit(predictor, space, weighing, space.carried(parent.space, parent.x, first), parent.start,
+                   parent.offset, jacobian=inherited(parent, space), parallel=False, renewals=0,
+                   iterations=QUICK_STEPS, tolerance=0.5).light
+    return None
+
+
+def _refit(search: Selection, fits: Iterable[Fit], weighing: Weighing,
+           told: Callable[[int, str], None] = lambda k, label: None) -> None:
+    """Fit sets to the end under a weighing, side by side."""
+    def again(found: Fit) -> Fit | None:
+        with suppress(*LOST):
+            return fit(search.predictor, found.space, weighing, found.x, found.start, found.offset, parallel=False,
+                       iterations=STEPS, renewals=4, tolerance=0.2).light
+        return None
+
+    for k, found in enumerate(search.predictor.pool.map(again, list(fits))):
+        if found is not None:
+            search.keep(found)
+            told(k, found.space.hypothesis.label)
+
+
+def _look_back(search: Selection, found: Fit) -> None:
+    """Fit every set with one cause less, from where the whole set ended: each cause must hold against its absence."""
+    smaller = []
+    for cause in found.space.hypothesis.causes:
+        hypothesis = found.space.hypothesis.without(cause)
+        centres: Sizes = {k: v for k, v in found.space.values(found.space.mean).items() if k != cause}
+        space = parameters(search.predictor.data, hypothesis, centres)
+        smaller.append((space, space.carried(found.space, found.x)))
+
+    def without(task: tuple) -> Fit | None:
+        space, x = task
+        with suppress(*LOST):
+            return fit(search.predictor, space, search.weighing, x, found.start, found.offset, parallel=False,
+                       iterations=STEPS, renewals=4, tolerance=0.2).light
+        return None
+
+    for one in search.predictor.pool.map(without, smaller):
+        if one is not None:
+            search.keep(one)
+
+
+def _finish(search: Selection) -> None:
+    """Fit the best set and its close rivals to the end under the weighing of the best: no set loses by where it ended."""
+    for _ in range(2):
+        best = search.best()
+        ranked = sorted(search.fits.values(), key=lambda f: -search.score(f))
+        close = [f for f in ranked if search.score(f) > search.score(best) - CLOSE][: 2 * search.effort.finished]
+        subsets = [f for f in search.fits.values() if f.key < best.key and f not in close]
+        _refit(search, [*close, *subsets], search.weighing)
+        if search.best().key == best.key:
+            break
+        search.weigh(search.best())
+
+
+def refined(search: Selection, found: Fit) -> Fit:
+    """A fit brought to its very end with finer simulations: values are stated from it."""
+    from dataclasses import replace
+    finer = replace(search.predictor, accuracy=FINE)
+    return fit(finer, found.space, search.weighing, found.x, found.start, found.offset, iterations=12, tolerance=0.02,
+               renewals=4)

@@ -1,0 +1,34 @@
+"""Every threshold that decides something in a diagnosis, with where it comes from.
+
+Tolerances and step lengths of the numerics stand beside their code; what stands here decides what is said.
+"""
+
+LOG_PRIOR = -7.0
+"""Log prior odds that any one further cause is present, about one in a thousand: of some forty causes on a rig one in
+twenty-five is then expected to be accused beforehand, and a false alarm costs a lab more than one more test."""
+LOG_PRIOR_PARAMETER = -2.5
+"""Each further parameter of one effect, beside what the evidence itself asks of it: a law that holds a simpler one must
+earn its parameters (the odds of one in twelve of a test at 3 sigma among three signs and sizes)."""
+WORTH_A_FIT = 2.0
+"""Expected fall of -2 ln L from which on a cause is fitted: below the change of Akaike's criterion by one parameter (2)
+no set of causes could win."""
+CLOSE = 15.0
+"""Log posterior odds within which a set is a rival worth fitting to the end: e^-15 is beyond any resample."""
+SETTLED_SHARE = 0.2
+"""Change of the logarithm of a number of independent errors below which it has settled: the estimate's own error."""
+STABLE = 0.8
+"""Share of resamples in which a stated cause must be named (the project's own promise)."""
+SURE = 0.8
+"""Probability from which on the leading cause, or what is equivalent to it, stands alone."""
+BEYOND = 3.0
+"""Sigmas of its stated uncertainty from which on a constant may be accused (the contract)."""
+VISIBLE = 25.0
+"""Fall of -2 ln L at which an effect of a usual size shows: five sigma, so that among some hundred guesses none shows by
+chance."""
+NOISE = 6.0
+"""z-score of what is left, over runs and channels, beyond which it is no noise: five sigma and one for non-Gaussian
+rounding."""
+FEW = 3
+"""Runs below which even a settled verdict asks for another test."""
+HELPS = 0.0
+"""Share of the error on runs left out that named causes must take off beside a refit of the constants."""

@@ -1,0 +1,178 @@
+"""What an extension buys on runs that no fit has seen: whole runs, predictions a time ahead, and step measures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+
+import numpy as np
+
+from station.diagnose.measures import floor, nrmse, step_measures
+from station.diagnose.result import ChannelGain, Gain, RunGain
+from station.estimation.dataset import Dataset
+from station.estimation.least_squares import LOST, OFFSET_STEP, Fit, fit
+from station.estimation.likelihood import Weighing, nuisance_precision
+from station.estimation.observer import observers
+from station.estimation.parameters import Parameters
+from station.estimation.prediction import Predictor, angle_that_reads, predict
+from station.model.simulate import Model, Simulation, build, simulate_model
+
+AHEAD = (0.1, 1.0)
+"""Seconds ahead that predictions are told for."""
+UNKNOWN_AHEAD = 0.5
+"""The same where a run's controller is unknown, so that no whole closed loop can be simulated."""
+CHANNELS = ("encoder", "accel")
+
+
+def whole_run(data: Dataset, model: Model, run: int, start: float, offset: float, *, rounding: bool = True,
+              zero: float = 0.0, place: float = 0.0) -> Simulation:
+    """One run as its test would have gone on a rig; ``start`` (rad) is what the encoder reads at sample 0.
+
+    A closed loop is simulated from its reference, an open one from its command; where the controller is unknown the
+    loop cannot be closed, and the run is predicted UNKNOWN_AHEAD from what was read before.
+    """
+    this, angle = data.runs[run], angle_that_reads(model.rig, start, zero)
+    if this.metadata.controller.get("kind") != "unknown" or this.open_loop:
+        return simulate_model(model, this, rounding=rounding, start_angle=angle, accel_offset=offset, zero=zero,
+                              gap_place=place)
+    observer, = observers(data.rig, data.noise[0], (UNKNOWN_AHEAD,))
+    found = predict(model, observer, data.measured[run], np.ascontiguousarray(this.command, dtype=float),
+                    start_angle=angle, offset=offset, zero=zero, gap_place=place,
+                    equilibrium=this.metadata.start == "equilibrium")[0]
+    if rounding:
+        found = np.floor(found + 0.5)
+    return Simulation(this.t, this.reference, this.command, found[0], found[1] if data.has_accel else None)
+
+
+def settled_run(data: Dataset, model: Model, run: int, start: float, offset: float, zero: float = 0.0,
+                place: float = 0.0) -> Simulation:
+    """The same with the starting angle and the accelerometer's offset that suit the run best (two Gauss-Newton steps),
+    as the device would have read it."""
+    prior, scale = nuisance_precision(data), np.sqrt(data.share[run]) / data.sigma[:, None]
+    steps = np.array([0.5 * data.rig.angle_per_count, OFFSET_STEP])[: data.channels]
+
+    def outputs(start: float, offset: float) -> np.ndarray:
+        made = whole_run(data, model, run, start, offset, rounding=False, zero=zero, place=place)
+        return np.stack([getattr(made, c) for c in CHANNELS[: data.channels]])
+
+    for _ in range(2):
+        here = outputs(start, offset)
+        if not np.all(np.isfinite(here)):
+            break
+        moved = [outputs(start + steps[0], offset), *([outputs(start, offset + steps[1])] if data.has_accel else [])]
+        columns = np.stack([((m - here) * scale).ravel() / d for m, d in zip(moved, steps, strict=True)])
+        away = np.array([start - data.start[run], offset - data.offset[run]])[: data.channels]
+        error = ((data.measured[run][: data.channels] - here) * scale).ravel()
+        with np.errstate(over="ignore", invalid="ignore"):
+            step = np.linalg.solve(columns @ columns.T + np.diag(prior), columns @ error - prior * away)
+        if not np.all(np.isfinite(step)):
+            break
+        count = data.rig.angle_per_count
+        start = float(np.clip(start + step[0], data.start[run] - count, data.start[run] + count))
+        offset = offset + float(step[1]) if data.has_accel else offset
+    return whole_run(data, model, run, start, offset, zero=zero, place=place)
+
+
+def simulate_runs(data: Dataset, space: Parameters, x: np.ndarray, start: np.ndarray, offset: np.ndarray,
+                  ) -> list[Simulation]:
+    """Every run on the rig of a parameter vector (exact model, whole counts)."""
+    model = build(space.rig_at(x))
+    return [settled_run(data, model, r, start[r], offset[r], space.zero(x, data.zero_group[r]), space.place(x, r))
+            for r in range(len(data.runs))]
+
+
+def leave_each_out(predictor: Predictor, weighing: Weighing, found: Fit, iterations: int = 6) -> list[Fit]:
+    """For every run a fit that leaves that run out.
+
+    Begun from the fit of all runs, since the way from the prior ends in side valleys; what the left-out run alone had
+    said is lost on the way, for there the prior alone speaks.  Where in a gap the motor stood at the run's start is
+    its own, as its starting angle is, and stays.
+    """
+    def without(r: int) -> Fit:
+        weights = np.ones(len(predictor.data.runs))
+        weights[r] = 0.0
+        with suppress(*LOST):
+            return fit(predictor, found.space, weighing, found.x, found.start, found.offset, runs=weights,
+                       jacobian=found.jacobian, parallel=False, iterations=iterations, renewals=2).light
+        return found.light
+
+    return list(predictor.pool.map(without, range(len(predictor.data.runs))))
+
+
+def simulate_unseen(predictor: Predictor, left_out: Sequence[Fit]) -> list[Simulation]:
+    """Every run, simulated by the fit that left that run out."""
+    data = predictor.data
+
+    def one(r: int) -> Simulation:
+        left = left_out[r]
+        return settled_run(data, build(left.space.rig_at(left.x)), r, left.start[r], left.offset[r],
+                           left.space.zero(left.x, data.zero_group[r]), left.space.place(left.x, r))
+    return list(predictor.pool.map(one, range(len(data.runs))))
+
+
+def predicted_ahead(predictor: Predictor, fits: Sequence[Fit] | Fit, nominal: bool = False) -> list[dict[str, float]]:
+    """Per run the encoder's nrmse of predictions AHEAD seconds ahead, by a fit for each run (or one for all)."""
+    data = predictor.data
+    watched = observers(data.rig, data.noise[0], AHEAD)
+
+    def one(r: int) -> dict[str, float]:
+        left = fits if isinstance(fits, Fit) else fits[r]
+        x = np.zeros_like(left.x) if nominal else left.x
+        model, zero = build(left.space.rig_at(x)), left.space.zero(x, data.zero_group[r])
+        run, rows = data.runs[r], data.windows[r]
+        found = {}
+        for seconds, observer in zip(AHEAD, watched, strict=True):
+            made, _ = predict(model, observer, data.measured[r], np.ascontiguousarray(run.command, dtype=float),
+                              start_angle=angle_that_reads(model.rig, left.start[r], zero), offset=left.offset[r],
+                              zero=zero, gap_place=left.space.place(x, r),
+                              equilibrium=run.metadata.start == "equilibrium")
+            found[f"{seconds:g} s"] = nrmse(run.encoder[rows], made[0][rows])
+        return found
+    return list(predictor.pool.map(one, range(len(data.runs))))
+
+
+def unseen_gain(without: Sequence[Fit], found: Sequence[Fit]) -> float:
+    """By how much causes lower the errors of unseen runs at all horizons: a share, of fits that leave run after run out.
+
+    The geometric mean over the blocks, as the likelihood sees them.
+    """
+    logs = [0.5 * np.log(np.maximum(before.squares[r], 1e-12) / np.maximum(after.squares[r], 1e-12))
+            for r, (before, after) in enumerate(zip(without, found, strict=True))]
+    return float(1.0 - np.exp(-np.mean(logs)))
+
+
+def gain(data: Dataset, names: Sequence[str], before: Sequence[Simulation], after: Sequence[Simulation],
+         ahead: tuple[Sequence[dict[str, float]], Sequence[dict[str, float]]] | None = None) -> Gain:
+    """The diagnosis file's gain: nrmse over all held-out runs and the share of the explainable error removed."""
+    found, fractions, runs = {}, [], [RunGain(run=name) for name in names]
+    for c, channel in enumerate(CHANNELS[: data.channels]):
+        error = {"before": 0.0, "after": 0.0}
+        spread = explained = explainable = 0.0
+        counted = False
+        for r, (run, rows, old, new) in enumerate(zip(data.runs, data.windows, before, after, strict=True)):
+            measured = getattr(run, channel)[rows]
+            size = float(np.sum((measured - measured.mean()) ** 2))
+            if size == 0.0:
+                continue
+            least = floor(measured, data.noise[c])
+            b, a = nrmse(measured, getattr(old, channel)[rows]), nrmse(measured, getattr(new, channel)[rows])
+            setattr(runs[r], channel, ChannelGain(nrmse_before=b, nrmse_after=a))
+            spread += size
+            error["before"] += b * b * size
+            error["after"] += a * a * size
+            if b > 1.2 * least:
+                counted = True
+                explained += b - a
+                explainable += b - least
+        if spread:
+            found[channel] = ChannelGain(nrmse_before=float(np.sqrt(error["before"] / spread)),
+                                         nrmse_after=float(np.sqrt(error["after"] / spread)))
+        if counted:
+            fractions.append(explained / explainable)
+    for r, (run, old, new) in enumerate(zip(data.runs, before, after, strict=True)):
+        runs[r].measured, runs[r].before, runs[r].after = (step_measures(run, s.encoder) for s in (run, old, new))
+        if ahead is not None:
+            runs[r].ahead = {k: ChannelGain(nrmse_before=ahead[0][r][k], nrmse_after=ahead[1][r][k])
+                             for k in ahead[0][r]}
+    return Gain(held_out=list(names), encoder=found.get("encoder"), accel=found.get("accel"), runs=runs,
+                explained_fraction=float(np.mean(fractions)) if fractions else None)
