@@ -683,6 +683,28 @@ def test_effects_need_their_part():
         tr.Truth(tr.TWO_MASS, [effect("load_friction", "motor", fraction=0.2)])
 
 
+# --- a geared servo -----------------------------------------------------------------------------------------
+
+
+def test_a_servo_case_hides_friction_by_load_and_need_not_say_what_closed_its_loops():
+    told, silent = (tr.make_case(21, ["load_friction"], nominal=tr.SERVO, count=4, known_controller=known)
+                    for known in (True, False))
+    assert [c["effect"] for c in silent.truth["causes"]] == ["load_friction"] and silent.truth == told.truth
+    assert {r.metadata.controller["kind"] for r in told.runs} == {"p"}
+    assert {r.metadata.controller["kind"] for r in silent.runs} == {"unknown"}
+    for one, other in zip(told.runs, silent.runs, strict=True):
+        assert one.accel is None and np.array_equal(one.encoder, other.encoder) and np.ptp(one.encoder) > 100
+        assert np.max(np.abs(one.command)) <= 885 and not other.open_loop
+
+
+def test_a_servos_gravity_belongs_to_the_rig_and_pulls_it_down():
+    swings = tr.Truth(tr.SERVO).run(np.zeros(2000), OPEN, start_angle=0.4, rounding=False)
+    assert angle(swings)[0] == 0.4 and abs(angle(swings)[-1]) < 1e-3 and np.min(angle(swings)) < -0.05
+    assert ("gravity_tilt", "base") not in tr.effect_names(tr.SERVO)
+    with pytest.raises(ValueError, match="more than once"):
+        tr.Truth(tr.SERVO, [effect("gravity_tilt", "base", torque=0.1, angle=0.0)])
+
+
 # --- imperfect worlds ---------------------------------------------------------------------------------------
 
 

@@ -2,7 +2,7 @@
 
     python scripts/bench/blind.py --out blind [--cases 520] [--first-seed 20000] [--effort full] [--workers 2]
                                   [--sum-up] [--only clear subtle clean pair outside]
-                                  [--hidden dead_zone hardening_spring@clamp]
+                                  [--hidden dead_zone hardening_spring@clamp] [--disturbance 0 0.02]
 
 Case i has the seed first-seed + i and five to eight runs.  Clear and subtle single causes (every effect of the
 catalogue at each of its places, every constant of the rig), clean rigs, pairs of clear causes and rigs with something
@@ -10,6 +10,10 @@ outside the catalogue follow one another in fixed proportions, so that the first
 a longer campaign goes on where a shorter one ended.  One file per case is kept; a case that is there already, done by
 the very code of this checkout, is not done again: a campaign may be stopped and taken up.  Constants that no size
 makes visible are listed, not counted.
+
+--disturbance gives the worlds in which every case is drawn, each the share of command torque and accelerometer signal
+that is disturbed besides (tests/truth/disturbance.py); 0, the default, is a perfect world. A case hides the same in all
+of them. Every world has its own tables, and the calibration is told over all together, too.
 
 The table goes to standard output as Markdown, the same numbers to summary.json and each case's line to standard error.
 """
@@ -49,6 +53,17 @@ CLOCK = ("clock_scale", "clock")
 EQUIVALENT = {("input_delay", "amplifier"), ("parameter:motor.gain", "")}
 """Causes that others imitate exactly: late sensors together, the torque's scale.  The verdict must be `ambiguous`.
 A clock that is off, too, without host times, which these cases have."""
+WANTED: dict[str, dict[bool, tuple[float, float]]] = {
+    "clear single causes named first": {True: (0.966, 1.0), False: (0.9, 1.0)},
+    "subtle ones named first": {True: (0.863, 1.0), False: (0.65, 1.0)},
+    "clean rigs accused": {True: (0.0, 0.02), False: (0.0, 0.05)},
+    "both causes of a pair found": {True: (0.885, 1.0), False: (0.65, 1.0)},
+    "outside the catalogue, wrongly `explained`": {True: (0.0, 0.05), False: (0.0, 0.05)},
+    "`ambiguous` on single clear causes without a known equivalence": {True: (0.0, 0.1), False: (0.0, 0.1)},
+    "truth inside the stated 95 % interval": {True: (0.88, 0.99), False: (0.85, 1.0)},
+}
+"""Shares wanted (lowest, highest) in a perfect world and in an imperfect one.  Those of perfect worlds that must be
+high are what a former campaign reached: no share may lie below it by more than its interval."""
 PLAIN = {f"parameter:{key}" for key in ("drive.stiffness", "base.inertia", "clamp.stiffness", "beam.length",
                                           "accelerometer.gain")}
 """Constants that pairs may hold: on most rigs some size of these is clear, of the others on few or none."""
@@ -89,8 +104,9 @@ def pairs(items: Sequence[Cause], rng: np.random.Generator) -> Iterator[list[Cau
         yield [one, other]
 
 
-def campaign(first_seed: int, effort: str, only: Sequence[str], chosen: Sequence[Cause]) -> Iterator[Task]:
-    """Cases without end."""
+def campaign(first_seed: int, effort: str, only: Sequence[str], chosen: Sequence[Cause],
+             worlds: Sequence[float] = (0.0,)) -> Iterator[Task]:
+    """Cases without end, each in all worlds in turn."""
     rng = np.random.default_rng([first_seed, 0xB11D])
     singles = {band: [c for c in causes(band)[0] if not chosen or c in chosen] for band in BANDS}
     plain = [c for c in causes("clear")[0] if c != CLOCK and (":" not in c[0] or c[0] in PLAIN)]
@@ -101,10 +117,13 @@ def campaign(first_seed: int, effort: str, only: Sequence[str], chosen: Sequence
     weights = {name: MIX[name] for name in MIX if name in only and singles.get(name, True)}
     for i, name in enumerate(by_share(weights)):
         band = {"clear": "clear", "subtle": "subtle", "pair": "clear"}.get(name)
-        yield blind_task(first_seed + i, next(hidden[name]), effort=effort, runs=None, band=band, group=name)
+        causes_of_case = next(hidden[name])
+        for level in worlds:
+            yield blind_task(first_seed + i, causes_of_case, effort=effort, runs=None, band=band, group=name,
+                             disturbance=level)
 
 
-def figures(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+def figures(outcomes: Sequence[Outcome], perfect: bool = True) -> list[dict[str, Any]]:
     """What was wanted and what was found, row by row; shares with their Wilson intervals."""
     of: dict[str, list[Outcome]] = {name: [o for o in outcomes if o.group == name] for name in MIX}
     inside = of["clear"] + of["subtle"] + of["pair"]
@@ -116,30 +135,40 @@ def figures(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     def listed(o: Outcome) -> bool:
         return o.keys <= {*o.said, *o.rivals}
 
-    rows: list[tuple[str, str, Callable[[float], bool] | None, dict[str, Any]]] = [
-        ("clear single causes named first", "95 %", lambda x: x >= 0.95, share(o.named for o in of["clear"])),
-        ("… named or a listed rival", "", None, share(o.listed for o in of["clear"])),
-        ("subtle ones named first", "75 %", lambda x: x >= 0.75, share(o.named for o in of["subtle"])),
-        ("… named or a listed rival", "", None, share(o.listed for o in of["subtle"])),
-        ("clean rigs accused", "≤ 2 %", lambda x: x <= 0.02, share(bool(o.causes) for o in of["clean"])),
-        ("both causes of a pair found", "80 %", lambda x: x >= 0.8, share(map(both, of["pair"]))),
-        ("… found or listed rivals", "", None, share(map(listed, of["pair"]))),
-        ("outside the catalogue, wrongly `explained`", "≤ 10 %", lambda x: x <= 0.1,
-         share(o.verdict == "explained" for o in of["outside"])),
-        ("… something accused under any verdict", "", None, share(bool(o.causes) for o in of["outside"])),
-        ("`ambiguous` on single clear causes without a known equivalence", "≤ 10 %", lambda x: x <= 0.1,
+    rows: list[tuple[str, dict[str, Any]]] = [
+        ("clear single causes named first", share(o.named for o in of["clear"])),
+        ("… named or a listed rival", share(o.listed for o in of["clear"])),
+        ("subtle ones named first", share(o.named for o in of["subtle"])),
+        ("… named or a listed rival", share(o.listed for o in of["subtle"])),
+        ("clean rigs accused", share(bool(o.causes) for o in of["clean"])),
+        ("both causes of a pair found", share(map(both, of["pair"]))),
+        ("… found or listed rivals", share(map(listed, of["pair"]))),
+        ("outside the catalogue, wrongly `explained`", share(o.verdict == "explained" for o in of["outside"])),
+        ("… something accused under any verdict", share(bool(o.causes) for o in of["outside"])),
+        ("`ambiguous` on single clear causes without a known equivalence",
          share(o.verdict == "ambiguous" for o in alone)),
-        ("`ambiguous` on single clear causes with one", "", None,
+        ("`ambiguous` on single clear causes with one",
          share(o.verdict == "ambiguous" for o in of["clear"] if o.keys & EQUIVALENT)),
-        ("`ambiguous`, all cases", "", None, share(o.verdict == "ambiguous" for o in outcomes)),
-        ("something else accused beside a right single cause", "", None,
+        ("`ambiguous`, all cases", share(o.verdict == "ambiguous" for o in outcomes)),
+        ("something else accused beside a right single cause",
          share(bool(set(o.said) - o.keys) for o in of["clear"] + of["subtle"] if o.named)),
-        ("truth inside the stated 95 % interval", "88–99 %", lambda x: 0.88 <= x <= 0.99,
-         share(held for o in inside for _, _, held in o.intervals())),
+        ("truth inside the stated 95 % interval", share(held for o in inside for _, _, held in o.intervals())),
     ]
-    return [{"what": what, "wanted": wanted, **found,
-             "met": None if test is None or found["share"] is None else bool(test(found["share"]))}
-            for what, wanted, test, found in rows]
+    return [{"what": what, **found, **_against(WANTED.get(what, {}).get(perfect), found, perfect)}
+            for what, found in rows]
+
+
+def _against(wanted: tuple[float, float] | None, found: dict[str, Any], perfect: bool) -> dict[str, Any]:
+    """A share held against its bounds: what is wanted in words, and whether it is met (None: nothing to hold)."""
+    if wanted is None:
+        return {"wanted": "", "met": None}
+    low, high = wanted
+    words = f"≤ {100 * high:g} %" if low == 0.0 else f"{100 * low:g}–{100 * high:g} %"
+    words = f"{100 * low:g} %" if high == 1.0 else words
+    if found["share"] is None:
+        return {"wanted": words, "met": None}
+    reached = found["high"] if perfect and high == 1.0 else found["share"]
+    return {"wanted": words, "met": bool(reached >= low and found["share"] <= high)}
 
 
 def numbers(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
@@ -147,15 +176,17 @@ def numbers(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     inside = [o for o in outcomes if o.group in ("clear", "subtle", "pair")]
     five = [o for o in outcomes if o.runs == 5]
     rows: list[tuple[str, str, Callable[[float], bool] | None, float | None, int]] = []
-    for what, kind, test in (("calibration error, every cause ranked", "ranked", lambda x: x <= 0.05),
-                             ("… every cause and rival stated", "stated", lambda x: x <= 0.05)):
+    for what, kind, most in (("calibration error, every cause ranked", "ranked", 0.05),
+                             ("… every cause and rival stated", "stated", 0.06)):
         found = calibration(pair for o in outcomes for pair in getattr(o, kind)())
-        rows.append((what, "≤ 0.05", test, found["error"], found["statements"]))
+        rows.append((what, f"≤ {most}", lambda x, most=most: x <= most, found["error"], found["statements"]))
     fractions = [o.gain.get("explained_fraction") for o in inside]
     rows += [
         ("share of the explainable error removed on unseen runs, median", "0.9", lambda x: x >= 0.9, median(fractions),
          sum(f is not None for f in fractions)),
         ("seconds per diagnosis of five runs, median", "", None, median(o.seconds for o in five), len(five)),
+        ("… 95th percentile", "", None, float(np.percentile([o.seconds for o in five], 95)) if five else None,
+         len(five)),
         ("… largest", "", None, largest(o.seconds for o in five), len(five)),
         ("seconds per diagnosis, all cases, median", "", None, median(o.seconds for o in outcomes), len(outcomes)),
         ("… largest", "", None, largest(o.seconds for o in outcomes), len(outcomes)),
@@ -209,18 +240,27 @@ def by_parameter(outcomes: Sequence[Outcome]) -> str:
     return "\n".join(lines)
 
 
-def report(results: Results, out: Path, arguments: dict[str, Any]) -> str:
-    """Write summary.json and give the Markdown."""
+def report(results: Results, out: Path, arguments: dict[str, Any], levels: dict[str, float]) -> str:
+    """Write summary.json and give the Markdown; ``levels``: the world of every case, by its label."""
     outcomes = [o for o in results.outcomes if o.unmade is None]
     whole = summary(results)
-    shares, others = figures(outcomes), numbers(outcomes)
     never = {f"{band}: {name}": why for band in BANDS for name, why in causes(band)[1].items()}
+    parts, worlds = [], {}
+    for level in sorted({levels[o.label] for o in outcomes}):
+        here = [o for o in outcomes if levels[o.label] == level]
+        shares, others = figures(here, level == 0.0), numbers(here)
+        worlds[f"{level:g}"] = {"figures": shares, "numbers": others}
+        title_of_world = "Perfect worlds" if level == 0.0 else f"Imperfect worlds, disturbed by {100 * level:g} %"
+        bins = calibration(pair for o in here for pair in o.ranked())["bins"]
+        parts += [f"### {title_of_world}, {len(here)} cases", markdown(shares, others, bins), by_cause(here),
+                  by_parameter(here)]
+    if len(worlds) > 1:
+        errors = {kind: whole["calibration"][kind]["error"] for kind in ("stated", "ranked")}
+        parts.append("Calibration error over all worlds: " + ", ".join(
+            f"{kind} {'–' if error is None else format(error, '.3f')}" for kind, error in errors.items()) + ".")
     out.joinpath("summary.json").write_text(json.dumps(
-        {"arguments": arguments, **whole, "figures": shares, "numbers": others, "never": never}, indent=1),
-        encoding="utf-8")
+        {"arguments": arguments, **whole, "worlds": worlds, "never": never}, indent=1), encoding="utf-8")
     unmade = {**never, **whole["unmade"]}
-    parts = [markdown(shares, others, whole["calibration"]["ranked"]["bins"]), by_cause(outcomes),
-             by_parameter(outcomes)]
     if unmade:
         parts.append("Not counted:\n\n" + "\n".join(f"- {name}: {why}" for name, why in unmade.items()))
     if results.failed:
@@ -241,14 +281,17 @@ def main() -> int:
     parser.add_argument("--effort", choices=["quick", "full"], default="full")
     parser.add_argument("--only", nargs="+", choices=list(MIX), default=list(MIX), help="only these classes")
     parser.add_argument("--hidden", nargs="+", default=[], metavar="EFFECT[@AT]", help="only these single causes")
+    parser.add_argument("--disturbance", nargs="+", type=float, default=[0.0], metavar="LEVEL",
+                        help="draw every case in these worlds; 0 is perfect, 0.02 disturbs 2 %% of the signals")
     parser.add_argument("--sum-up", action="store_true", help="do nothing, sum up what is there")
     options = parser.parse_args()
     places = {title((e, at or "")): (e, at) for band in BANDS for e, at in causes(band)[0]}
     names = [n for text in options.hidden for n in places if text in (n, n.partition("@")[0])]
     if options.hidden and not names:
         parser.error(f"--hidden: none of {', '.join(places)}")
-    tasks = list(islice(campaign(options.first_seed, options.effort, options.only, [places[n] for n in names]),
-                        options.cases))
+    worlds = list(dict.fromkeys(options.disturbance))
+    tasks = list(islice(campaign(options.first_seed, options.effort, options.only, [places[n] for n in names], worlds),
+                        options.cases * len(worlds)))
     options.out.mkdir(parents=True, exist_ok=True)
     done = 0
 
@@ -273,7 +316,8 @@ def main() -> int:
     if results is None:
         results = so_far(tasks, options.out, code=code_hash())
     print(report(results, options.out, {key: str(value) if isinstance(value, Path) else value
-                                        for key, value in vars(options).items()}))
+                                        for key, value in vars(options).items()},
+                 {task.label: task.spec["disturbance"] for task in tasks}))
     return 1 if results.failed else 0
 
 

@@ -27,17 +27,19 @@ Cause = tuple[str, str | None]
 
 
 def blind_task(seed: int, hidden: Sequence[Cause] = (), *, effort: str = "full", runs: int | None = RUNS,
-               band: str | None = None, group: str = "") -> Task:
+               band: str | None = None, group: str = "", disturbance: float = 0.0) -> Task:
     """One case to be made and diagnosed; with nothing hidden a clean rig.
 
-    `runs` None: five to eight; `band`: "clear" or "subtle", else BAND.
+    `runs` None: five to eight; `band`: "clear" or "subtle", else BAND; `disturbance`: level of an imperfect world
+    (tests/truth/disturbance.py), 0 for a perfect one.
     """
     name = "+".join(title((effect, at or "")) for effect, at in hidden) or "clean"
-    label = "-".join(part for part in (f"{seed:06d}", band, name, effort) if part)
+    world = f"disturbed{disturbance:g}" if disturbance else ""
+    label = "-".join(part for part in (f"{seed:06d}", world, band, name, effort) if part)
     outside = any(effect in OUTSIDE for effect, _ in hidden)
     kind = "clean" if not hidden else "outside" if outside else "single" if len(hidden) == 1 else "pair"
     return Task(label, group or kind, {"seed": seed, "hidden": [list(cause) for cause in hidden], "effort": effort,
-                                       "runs": runs, "band": band})
+                                       "runs": runs, "band": band, "disturbance": disturbance})
 
 
 def made(task: Task) -> Case:
@@ -46,7 +48,8 @@ def made(task: Task) -> Case:
     band = task.spec["band"]
     if band is None:
         band = "clear" if any(effect.startswith("parameter:") for effect, _ in task.spec["hidden"]) else BAND
-    return make_case(task.spec["seed"], hidden, count=task.spec["runs"], band=band)
+    return make_case(task.spec["seed"], hidden, count=task.spec["runs"], band=band,
+                     disturbance=task.spec["disturbance"])
 
 
 def judge(task: Task) -> Outcome:

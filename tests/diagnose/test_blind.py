@@ -32,6 +32,12 @@ def cases() -> list[Task]:
     return [blind_task(FIRST_SEED + i, causes) for i, causes in enumerate(hidden)]
 
 
+def test_a_case_has_a_label_of_its_own_in_every_world_and_hides_the_same():
+    perfect, imperfect = (blind_task(FIRST_SEED, [EFFECTS[0]], disturbance=level) for level in (0.0, 0.02))
+    assert "disturbed0.02" in imperfect.label and "disturbed" not in perfect.label
+    assert perfect.spec | {"disturbance": 0.02} == imperfect.spec and perfect.group == imperfect.group
+
+
 @pytest.mark.timeout(1500)
 def test_hidden_causes_are_named_and_clean_rigs_are_not_accused(capsys):
     outcomes = {outcome.label: outcome for outcome in judge_all(cases())}

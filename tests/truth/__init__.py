@@ -44,6 +44,9 @@ How the contract is read where it leaves room:
   constant here.
 - accelerometer_centripetal takes the base's speed; its fraction may have either sign.
 
+Effects that a rig dict holds belong to the nominal rig, which a diagnosis is given; their values are exact. `SERVO` has
+gravity so, is tested under its own position loop, and may be drawn without saying so (`known_controller=False`).
+
 Rigs are drawn within 2 sigma (`rigs.draw_logs`) and kept if `cases.behaves`. Severity (`cases.Severity`) is
 the chi squared lost by the best re-fitted rig without the cause.
 
@@ -67,6 +70,7 @@ from .cases import (
     Severity,
     Test,
     behaves,
+    draw_servo_tests,
     draw_tests,
     make_case,
     multisine_test,
@@ -76,7 +80,7 @@ from .cases import (
     step_test,
     sweep_test,
 )
-from .rigs import RIGID_AXIS, SFLR, SFLR_UNIT, TWO_MASS, RigDict, draw_constants, draw_logs, uncertain_keys
+from .rigs import RIGID_AXIS, SERVO, SFLR, SFLR_UNIT, TWO_MASS, RigDict, draw_constants, draw_logs, uncertain_keys
 from .simulate import CATALOGUE, CONTROLLERS, OUTSIDE, Effect, Output, Truth
 from .sizes import draw_effect, outside_names, scaled
 from .sizes import names as effect_names
@@ -86,6 +90,7 @@ __all__ = [
     "CONTROLLERS",
     "OUTSIDE",
     "RIGID_AXIS",
+    "SERVO",
     "SFLR",
     "SFLR_UNIT",
     "TWO_MASS",
@@ -101,6 +106,7 @@ __all__ = [
     "draw_constants",
     "draw_effect",
     "draw_logs",
+    "draw_servo_tests",
     "draw_tests",
     "effect_names",
     "make_case",

@@ -14,7 +14,7 @@ from station.runs.run import Run, RunMetadata
 
 from . import sizes
 from .disturbance import Pushes, World, draw_pushes, draw_world
-from .rigs import SFLR, RigDict, draw_logs, get_constant, own_sigma, shifted, uncertain_keys, with_constants
+from .rigs import SERVO, SFLR, RigDict, draw_logs, get_constant, own_sigma, shifted, uncertain_keys, with_constants
 from .simulate import CONTROLLERS, OUTSIDE, Effect, Output, Truth
 
 Array = NDArray[np.float64]
@@ -132,6 +132,24 @@ def draw_tests(rng: np.random.Generator, rig: RigDict = SFLR, count: int | None 
             tests.append(multisine_test(rate, abs(amplitude(40, 100)), int(rng.integers(1 << 30))))
         else:
             tests.append(prbs_test(rate, abs(amplitude(60, 160)), int(rng.integers(1 << 30))))
+    return [tests[i] for i in rng.permutation(count)]
+
+
+def draw_servo_tests(rng: np.random.Generator, rig: RigDict, count: int | None = None) -> list[Test]:
+    """Five to eight tests of a servo under its own position loop, soft and stiff: sweeps, sums of sines and steps."""
+    rate = rig["sample_rate"]
+    count = int(rng.integers(5, 9)) if count is None else count
+    tests = []
+    for k in range(count):
+        loop = ("servo_soft", "servo_stiff")[k % 2]
+        kind = rng.choice(["sweep", "multisine", "step"]) if k > 1 else ("sweep", "multisine")[k]
+        if kind == "step" and loop == "servo_stiff":
+            tests.append(step_test(rate, loop, float(rng.choice([-1, 1]) * rng.integers(150, 401)), 3.0))
+        elif kind == "multisine":
+            tests.append(multisine_test(rate, float(rng.integers(400, 1001)), int(rng.integers(1 << 30)), 6.0, loop))
+        else:
+            f1 = float(rng.uniform(1.0, 3.0))
+            tests.append(sweep_test(rate, float(rng.integers(300, 901)), 0.2, f1, 6.0, loop))
     return [tests[i] for i in rng.permutation(count)]
 
 
@@ -400,6 +418,7 @@ def make_case(
     count: int | None = None,
     host_time: bool | None = None,
     disturbance: float = 0.0,
+    known_controller: bool = True,
 ) -> Case:
     """A blind case, the same for the same arguments.
 
@@ -413,6 +432,7 @@ def make_case(
 
     `disturbance` is the level of what is imperfect besides (`disturbance`), 0 for a perfect world. Rig, causes, their
     sizes and severities, tests and conditions are those of the perfect world, unless its disturbed runs do not behave.
+    Without `known_controller` the runs do not say what closed their loops.
     """
     world = draw_world(seed, disturbance)
     rng = np.random.default_rng([seed, 0x57A7])
@@ -427,7 +447,8 @@ def make_case(
     for _ in range(40):
         own, common = draw_logs(nominal, None, rng, limit)
         rig = shifted(nominal, own, common)
-        drawn_tests = list(tests) if tests is not None else draw_tests(rng, nominal, count)
+        draw = draw_servo_tests if nominal["name"] == SERVO["name"] else draw_tests
+        drawn_tests = list(tests) if tests is not None else draw(rng, nominal, count)
         conditions = _draw_conditions(rng, drawn_tests, accel_sigma)
         if not behaves(simulate_case(rig, [], drawn_tests, conditions), drawn_tests, rig):
             continue
@@ -459,6 +480,9 @@ def make_case(
         case = _case(seed, rig, nominal, settled, grades, drawn_tests, conditions, outputs, own, common, rng, host_time)
         if world is not None:
             case.truth["disturbance"] = asdict(world)
+        if not known_controller:
+            case.runs[:] = [replace(r, metadata=r.metadata.model_copy(update={"controller": {"kind": "unknown"}}))
+                            for r in case.runs]
         return case
     raise ValueError(f"seed {seed}, {list(effects)}: {reason}")
 

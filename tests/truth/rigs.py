@@ -1,7 +1,7 @@
 """Rig constants as plain dicts, and draws of a rig within its stated uncertainty.
 
-A rig is a dict shaped like the rig file: tables of SI constants, `sample_rate`, and an `uncertainty` table.
-Any part that a rig file may leave out may be left out here.
+A rig is a dict shaped like the rig file: tables of SI constants, `sample_rate`, an `uncertainty` table, and the
+`effects` that it is known to have. Any part that a rig file may leave out may be left out here.
 """
 
 from __future__ import annotations
@@ -65,6 +65,17 @@ TWO_MASS: RigDict = {
     "uncertainty": {"default": 0.1},
 }
 """Motor and load joined by a shaft; no beam."""
+
+SERVO: RigDict = {
+    "name": "servo",
+    "sample_rate": 200.0,
+    "amplifier": {"limit": 885.0},
+    "motor": {"inertia": 0.0072, "damping": 0.045, "gain": 0.0009},
+    "encoder": {"counts_per_revolution": 4096},
+    "effects": [{"effect": "gravity_tilt", "at": "base", "torque": 0.49, "angle": 0.0}],
+    "uncertainty": {"default": 0.2},
+}
+"""A geared servo that swings a pendulum, as hobby servos do: constants of the size of theirs."""
 
 _UNCERTAIN_TABLES = ("motor", "drive", "base", "clamp", "beam", "tip")
 

@@ -35,6 +35,8 @@ CONTROLLERS: dict[str, dict[str, Any]] = {
         "accel_numerator": list(GA_NUMERATOR),
         "accel_denominator": list(GA_DENOMINATOR),
     },
+    "servo_soft": {"kind": "p", "gain": 0.390625},
+    "servo_stiff": {"kind": "p", "gain": 1.5625},
     "pid": {"kind": "pid", "gain": 2.0, "integral": 0.5, "derivative": 0.03, "filter": 0.01},
     "cascade": {"kind": "cascade", "position_gain": 6.0, "speed_gain": 0.25},
     "filter": {"kind": "filter", "numerator": [1.2, -1.0], "denominator": [1.0, -0.85, 0.1]},
@@ -219,6 +221,7 @@ class Truth:
         modes: int = MODES,
         detuning: Sequence[float] = (),
     ) -> None:
+        effects = [*rig.get("effects", ()), *effects]
         check_effects(rig, effects)
         values = {e["effect"].removeprefix("parameter:"): e["value"] for e in effects if ":" in e["effect"]}
         self.rig = rig = with_constants(rig, values)

@@ -29,9 +29,10 @@ def names(rig: RigDict) -> list[tuple[str, str]]:
     missing = {t for t in ("drive", "clamp", "accelerometer") if not rig.get(t)}
     if not rig.get("beam"):
         missing |= {"clamp", "accelerometer"}
+    no = {(e["effect"], e["at"]) for e in rig.get("effects", ())}
     if rig.get("drive"):
-        return [(name, at) for name, at in CATALOGUE if at not in missing and (name, at) != ("load_friction", "motor")]
-    return [(name, at) for name, at in CATALOGUE if at not in missing]
+        no.add(("load_friction", "motor"))
+    return [(name, at) for name, at in CATALOGUE if at not in missing and (name, at) not in no]
 
 
 def outside_names(rig: RigDict) -> list[str]:
