@@ -14,7 +14,6 @@ from station.diagnose.equivalences import completed, rivals, standing, with_word
 from station.diagnose.evidence import evidence
 from station.diagnose.experiment import choose
 from station.diagnose.measures import floor, nrmse, step_measures
-from station.diagnose.missing import missing_torque
 from station.diagnose.odds import Odds, estimates, odds
 from station.diagnose.remainder import Remainder, remainder
 from station.diagnose.result import (
@@ -40,12 +39,12 @@ from station.diagnose.validation import (
 )
 from station.diagnose.verdict import Stated, stated, verdict
 from station.errors import UsageError, WorkError
-from station.estimation.dataset import canonical_order, dataset
+from station.estimation.dataset import ELEMENTS, canonical_order, dataset
 from station.estimation.least_squares import Fit
 from station.estimation.observer import observers
 from station.estimation.parameters import Causes, Key
-from station.estimation.prediction import Predictor
-from station.model.simulate import Simulation
+from station.estimation.prediction import SEARCH, Predictor, angle_that_reads, predict
+from station.model.simulate import Simulation, build
 from station.rig import Rig
 from station.runs.run import Run
 
@@ -111,7 +110,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     diagnosis = Diagnosis(
         verdict=decision, wrong=_wrong(runs, before, data.noise), causes=causes, gain=bought,
         next_experiment=with_word(None if decided else choice.next, decision, told, said.causes, known),
-        disturbance=_disturbance(rig, refit_rig, extended, given), rig=rig.name, effort=effort,
+        disturbance=_disturbance(predictor, [rig, refit_rig, extended]), rig=rig.name, effort=effort,
         runs=[RunFile(run=run.name, file_sha256=getattr(run.metadata, "file_sha256", None)) for run in given],
         ranking=[Ranked(effect=r.effect, at=r.at, probability=min(r.probability, 1.0), note=r.note) for r in ranking])
     pictures = evidence(refit_rig, extended, runs[:1] if windows else runs, [(c.effect, c.at) for c in causes])
@@ -214,15 +213,20 @@ def _ranking(search: Selection, found: Odds, left_out: dict[Causes, list[Fit]]) 
     return sorted(rows, key=lambda r: (-round(r.probability, 6), -r.delta_chi2))
 
 
-def _disturbance(rig: Rig, refit: Rig, extended: Rig, runs: Sequence[Run]) -> Disturbance:
-    """What is missing at the motor, by the smoother, before and after: a share of the command's rms torque."""
-    def share(of: Rig) -> float:
-        missing = command = 0.0
-        for run in runs:
-            missing += float(np.sum(missing_torque(of, run).torque ** 2))
-            command += float(np.sum((of.motor.gain * run.command) ** 2))
+def _disturbance(predictor: Predictor, rigs: Sequence[Rig]) -> Disturbance:
+    """The torque at the motor that the quickest observer needs with each rig: a share of the command's rms torque."""
+    data, observer = predictor.data, predictor.observers[0]
+
+    def share(rig: Rig) -> float:
+        model, missing, command = build(rig.with_elements(ELEMENTS), *SEARCH[:2]), 0.0, 0.0
+        for r, run in enumerate(data.runs):
+            torque = predict(model, observer, data.measured[r], np.ascontiguousarray(run.command, dtype=float),
+                             start_angle=angle_that_reads(model.rig, data.start[r], 0.0), offset=data.offset[r],
+                             equilibrium=run.metadata.start == "equilibrium")[1]
+            missing, command = missing + float(torque @ torque), command + float(run.command @ run.command)
         return float(np.sqrt(missing / max(command, 1e-300)))
-    return Disturbance(nominal=share(rig), refitted=share(refit), extended=share(extended))
+    nominal, refitted, extended = predictor.pool.map(share, rigs)
+    return Disturbance(nominal=nominal, refitted=refitted, extended=extended)
 
 
 def _notes(rig: Rig, search: Selection, left: Remainder, said: Stated, found: Odds) -> list[str]:

@@ -80,7 +80,11 @@ class _Eliminated:
         normal, slope = parent.normal(parent.weighing)
         self.matrix = normal + np.diag(parent.space.precision)
         self.force = slope - parent.space.precision * (parent.x - parent.space.mean)
-        self.inner = [d[p:] @ d[p:].T + np.diag(parent.nuisance) for d in self.derivatives]
+        # Per run: the nuisances' own products, and what of errors and parameters they take up.
+        self.inner = [np.linalg.inv(d[p:] @ d[p:].T + np.diag(parent.nuisance)) for d in self.derivatives]
+        self.coupled = [d[p:] @ d[:p].T for d in self.derivatives]
+        self.taken = [d[p:] @ e - parent.nuisance * away
+                      for d, e, away in zip(self.derivatives, self.errors, parent.away, strict=True)]
 
     def change(self, space_rig: tuple, size: int) -> list[np.ndarray] | None:
         """What a hypothesis at x changes in the weighed predictions, per run; None where it does not simulate."""
@@ -96,12 +100,11 @@ class _Eliminated:
         gram, slope, cross = np.zeros((k, k)), np.zeros(k), np.zeros((p, k))
         for r, (d, e) in enumerate(zip(self.derivatives, self.errors, strict=True)):
             c = np.stack([change[r] for change in changes])
-            tied, coupled = d[p:] @ c.T, d[p:] @ d[:p].T
-            solved = np.linalg.solve(self.inner[r], np.column_stack([tied, d[p:] @ e
-                                                                     - self.parent.nuisance * self.parent.away[r]]))
-            gram += c @ c.T - tied.T @ solved[:, :-1]
-            slope += c @ e - tied.T @ solved[:, -1]
-            cross += d[:p] @ c.T - coupled.T @ solved[:, :-1]
+            both = d @ c.T
+            solved = self.inner[r] @ np.column_stack([both[p:], self.taken[r]])
+            gram += c @ c.T - both[p:].T @ solved[:, :-1]
+            slope += c @ e - both[p:].T @ solved[:, -1]
+            cross += both[:p] - self.coupled[r].T @ solved[:, :-1]
         taken = np.linalg.solve(self.matrix, np.column_stack([cross, self.force]))
         return gram - cross.T @ taken[:, :-1], slope - cross.T @ taken[:, -1]
 

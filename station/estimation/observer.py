@@ -9,6 +9,7 @@ ed., 1999), sections 3.2 (k-step-ahead predictors), 4.3 (innovations form) and 1
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,13 +19,14 @@ import scipy.linalg
 
 from station.estimation.noise import QUANTISATION
 from station.model.assembly import torque_input
+from station.model.compiled import njit
 from station.model.modal import dense
-from station.model.simulate import Model, build
+from station.model.simulate import build
 from station.rig import Rig
 
 HORIZONS = (0.05, 0.5, math.inf)
 """Seconds: what a torque does at once, what it does over a few swings of an arm, and whole runs."""
-ROUNDS = 30
+ROUNDS = 20
 """Halvings of the logarithm of the torque's size."""
 SIZES = (1e-4, 1e7)
 """Counts of command between which it is looked for."""
@@ -47,11 +49,25 @@ class Observer:
 
 def observers(rig: Rig, noise: float, horizons: Sequence[float] = HORIZONS) -> tuple[Observer, ...]:
     """One for each horizon (s); ``noise``: standard deviation of the encoder before rounding, counts."""
-    model = build(rig.with_effects([]), 0.1, 1e-3)
-    return tuple(_observer(model, noise**2 + QUANTISATION, horizon) for horizon in horizons)
+    linear = rig.with_effects([]).model_copy(update={"uncertainty": {}}).model_dump_json()
+    return tuple(_observer(linear, noise**2 + QUANTISATION, horizon) for horizon in horizons)
 
 
-def _observer(model: Model, variance: float, horizon: float) -> Observer:
+@njit(cache=True)
+def _memory(f, k, h, error, steps, period):
+    """Time integral of the predicted angle's error after a unit one, s."""
+    total = 0.0
+    for _ in range(steps):
+        e = np.dot(h, error)
+        total += abs(e) * period
+        error = np.dot(f, error - k * e)
+    return total
+
+
+@functools.lru_cache(maxsize=64)
+def _observer(linear: str, variance: float, horizon: float) -> Observer:
+    """Of a rig as JSON; kept, since a diagnosis asks for the same ones again and again."""
+    model = build(Rig.model_validate_json(linear), 0.1, 1e-3)
     rig, form, period = model.rig, model.form, model.rig.period
     if math.isinf(horizon):
         return Observer(horizon, np.zeros(2 * model.assembly.size), 0.0, 0.0)
@@ -70,13 +86,7 @@ def _observer(model: Model, variance: float, horizon: float) -> Observer:
         return p @ h / (h @ p @ h + variance)
 
     def memory(log_size: float) -> float:
-        """Time integral of the predicted angle's error after a unit one, s."""
-        k, error, total = gain(log_size), first / (h @ first), 0.0
-        for _ in range(math.ceil(LASTS * horizon / period)):
-            e = h @ error
-            total += abs(e) * period
-            error = f @ (error - k * e)
-        return total
+        return _memory(f, gain(log_size), h, first / (h @ first), math.ceil(LASTS * horizon / period), period)
 
     low, high = (math.log(s) for s in SIZES)
     for _ in range(ROUNDS):
