@@ -13,7 +13,9 @@ makes visible are listed, not counted.
 
 --disturbance gives the worlds in which every case is drawn, each the share of command torque and accelerometer signal
 that is disturbed besides (tests/truth/disturbance.py); 0, the default, is a perfect world. A case hides the same in all
-of them. Every world has its own tables, and the calibration is told over all together, too.
+of them, of the size that its class has in the perfect world, so that some are drowned by the disturbances; with
+--sized-in-world it has that size where it stands.  Every world has its own tables, and the calibration is told over
+all together, too.
 
 The table goes to standard output as Markdown, the same numbers to summary.json and each case's line to standard error.
 """
@@ -64,6 +66,8 @@ WANTED: dict[str, dict[bool, tuple[float, float]]] = {
 }
 """Shares wanted (lowest, highest) in a perfect world and in an imperfect one.  Those of perfect worlds that must be
 high are what a former campaign reached: no share may lie below it by more than its interval."""
+LEAST = {"clear": 200.0, "subtle": 25.0}
+"""Least severity of each class."""
 PLAIN = {f"parameter:{key}" for key in ("drive.stiffness", "base.inertia", "clamp.stiffness", "beam.length",
                                           "accelerometer.gain")}
 """Constants that pairs may hold: on most rigs some size of these is clear, of the others on few or none."""
@@ -105,7 +109,7 @@ def pairs(items: Sequence[Cause], rng: np.random.Generator) -> Iterator[list[Cau
 
 
 def campaign(first_seed: int, effort: str, only: Sequence[str], chosen: Sequence[Cause],
-             worlds: Sequence[float] = (0.0,)) -> Iterator[Task]:
+             worlds: Sequence[float] = (0.0,), sized_in_world: bool = False) -> Iterator[Task]:
     """Cases without end, each in all worlds in turn."""
     rng = np.random.default_rng([first_seed, 0xB11D])
     singles = {band: [c for c in causes(band)[0] if not chosen or c in chosen] for band in BANDS}
@@ -120,7 +124,7 @@ def campaign(first_seed: int, effort: str, only: Sequence[str], chosen: Sequence
         causes_of_case = next(hidden[name])
         for level in worlds:
             yield blind_task(first_seed + i, causes_of_case, effort=effort, runs=None, band=band, group=name,
-                             disturbance=level)
+                             disturbance=level, sized_in_world=sized_in_world and level > 0.0)
 
 
 def figures(outcomes: Sequence[Outcome], perfect: bool = True) -> list[dict[str, Any]]:
@@ -132,14 +136,20 @@ def figures(outcomes: Sequence[Outcome], perfect: bool = True) -> list[dict[str,
     def both(o: Outcome) -> bool:
         return o.keys <= set(o.said)
 
+    def plain(o: Outcome, band: str) -> bool:
+        return all(s is None or s >= LEAST[band] for s in o.severity)
+
     def listed(o: Outcome) -> bool:
         return o.keys <= {*o.said, *o.rivals}
 
     rows: list[tuple[str, dict[str, Any]]] = [
         ("clear single causes named first", share(o.named for o in of["clear"])),
         ("… named or a listed rival", share(o.listed for o in of["clear"])),
+        ("… named, of those that are clear in their world", share(o.named for o in of["clear"] if plain(o, "clear"))),
         ("subtle ones named first", share(o.named for o in of["subtle"])),
         ("… named or a listed rival", share(o.listed for o in of["subtle"])),
+        ("… named, of those that are subtle at least in their world",
+         share(o.named for o in of["subtle"] if plain(o, "subtle"))),
         ("clean rigs accused", share(bool(o.causes) for o in of["clean"])),
         ("both causes of a pair found", share(map(both, of["pair"]))),
         ("… found or listed rivals", share(map(listed, of["pair"]))),
@@ -283,6 +293,8 @@ def main() -> int:
     parser.add_argument("--hidden", nargs="+", default=[], metavar="EFFECT[@AT]", help="only these single causes")
     parser.add_argument("--disturbance", nargs="+", type=float, default=[0.0], metavar="LEVEL",
                         help="draw every case in these worlds; 0 is perfect, 0.02 disturbs 2 %% of the signals")
+    parser.add_argument("--sized-in-world", action="store_true",
+                        help="size what is hidden in an imperfect world by how plain it is there")
     parser.add_argument("--sum-up", action="store_true", help="do nothing, sum up what is there")
     options = parser.parse_args()
     places = {title((e, at or "")): (e, at) for band in BANDS for e, at in causes(band)[0]}
@@ -290,8 +302,8 @@ def main() -> int:
     if options.hidden and not names:
         parser.error(f"--hidden: none of {', '.join(places)}")
     worlds = list(dict.fromkeys(options.disturbance))
-    tasks = list(islice(campaign(options.first_seed, options.effort, options.only, [places[n] for n in names], worlds),
-                        options.cases * len(worlds)))
+    tasks = list(islice(campaign(options.first_seed, options.effort, options.only, [places[n] for n in names], worlds,
+                                 options.sized_in_world), options.cases * len(worlds)))
     options.out.mkdir(parents=True, exist_ok=True)
     done = 0
 

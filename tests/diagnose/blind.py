@@ -27,19 +27,21 @@ Cause = tuple[str, str | None]
 
 
 def blind_task(seed: int, hidden: Sequence[Cause] = (), *, effort: str = "full", runs: int | None = RUNS,
-               band: str | None = None, group: str = "", disturbance: float = 0.0) -> Task:
+               band: str | None = None, group: str = "", disturbance: float = 0.0,
+               sized_in_world: bool = False) -> Task:
     """One case to be made and diagnosed; with nothing hidden a clean rig.
 
     `runs` None: five to eight; `band`: "clear" or "subtle", else BAND; `disturbance`: level of an imperfect world
-    (tests/truth/disturbance.py), 0 for a perfect one.
+    (tests/truth/disturbance.py), 0 for a perfect one; `sized_in_world`: the band holds there, not in the perfect world.
     """
     name = "+".join(title((effect, at or "")) for effect, at in hidden) or "clean"
-    world = f"disturbed{disturbance:g}" if disturbance else ""
+    world = f"{'sized' if sized_in_world else 'disturbed'}{disturbance:g}" if disturbance else ""
     label = "-".join(part for part in (f"{seed:06d}", world, band, name, effort) if part)
     outside = any(effect in OUTSIDE for effect, _ in hidden)
     kind = "clean" if not hidden else "outside" if outside else "single" if len(hidden) == 1 else "pair"
     return Task(label, group or kind, {"seed": seed, "hidden": [list(cause) for cause in hidden], "effort": effort,
-                                       "runs": runs, "band": band, "disturbance": disturbance})
+                                       "runs": runs, "band": band, "disturbance": disturbance,
+                                       "sized_in_world": sized_in_world})
 
 
 def made(task: Task) -> Case:
@@ -49,7 +51,7 @@ def made(task: Task) -> Case:
     if band is None:
         band = "clear" if any(effect.startswith("parameter:") for effect, _ in task.spec["hidden"]) else BAND
     return make_case(task.spec["seed"], hidden, count=task.spec["runs"], band=band,
-                     disturbance=task.spec["disturbance"])
+                     disturbance=task.spec["disturbance"], sized_in_world=task.spec["sized_in_world"])
 
 
 def judge(task: Task) -> Outcome:
@@ -63,7 +65,8 @@ def judge(task: Task) -> Outcome:
         return Outcome(task.label, task.group, unmade=str(error), making=time.perf_counter() - begun)
     making = time.perf_counter() - begun
     return diagnosed(task, load_rig("sflr"), case.runs, task.spec["effort"], hidden=case.truth["causes"],
-                     outside=bool(case.truth["outside"]), severity=list(case.truth["severity"].values()),
+                     outside=bool(case.truth["outside"]),
+                     severity=list(case.truth.get("severity_in_world", case.truth["severity"]).values()),
                      making=making)
 
 
