@@ -23,6 +23,7 @@ from tests.truth.cases import _weighted as weighted
 from tests.truth.cases import multisine_test, prbs_test
 from tests.truth.disturbance import Pushes, directions, draw_pushes, draw_world, gauss_markov, shown
 from tests.truth.disturbance import _nodes as paths_of_nodes
+from tests.truth.innovations import Coloured, innovations
 from tests.truth.plant import ELEMENTS, beam_matrices, linear_system, mechanics
 from tests.truth.rigs import own_sigma, with_constants
 from tests.truth.simulate import compensator
@@ -833,6 +834,57 @@ def test_a_case_sized_in_its_world_is_as_plain_there_as_its_band_says():
     case = tr.make_case(8, ["command_bias"], count=3, band=(230.0, 2000.0), disturbance=0.02, sized_in_world=True)
     grade, = case.truth["severity_in_world"].values()
     assert 230.0 <= grade <= 2000.0 < next(iter(case.truth["severity"].values()))
+
+
+def disturbed_axis(seed: int, n: int, sigma: float, time: float) -> tuple[tr.Output, np.ndarray]:
+    """An open loop on the axis under a coloured torque, read with rounding, and that torque."""
+    rng = np.random.default_rng(seed)
+    torque = sigma * gauss_markov(rng, n, 0.002, time)
+    command = np.repeat(rng.integers(-80, 81, n), rng.integers(5, 40, n))[:n].astype(float)
+    pushes = replace(still(n), torque=torque)
+    return tr.Truth(axis()).run(command, OPEN, pushes=pushes), torque
+
+
+def test_innovations_are_those_of_the_joint_density_of_all_readings():
+    """Of few rows the density is written out whole: mean and covariance of all readings from the very start."""
+    n, coloured, force = 12, Coloured(0.3, 0.02), Coloured(0.02, 0.005)
+    rng = np.random.default_rng(2)
+    command, readings = rng.uniform(-50, 50, n), rng.normal(0.0, 3.0, (n, 2))
+    found = innovations(tr.SFLR, command, readings, torque=coloured, force=force, start_spread=0.0)
+    truth = tr.Truth(tr.SFLR)
+
+    def answer(command=None, **pushes) -> np.ndarray:
+        out = truth.run(np.zeros(n) if command is None else command, OPEN, rounding=False,
+                        pushes=replace(still(n), **pushes))
+        return np.column_stack([out.encoder, out.accel]).ravel()
+
+    covariance = np.diag(np.tile([0.29**2, 1.0], n))
+    lag = np.abs(np.subtract.outer(np.arange(n), np.arange(n))) * 0.002
+    for name, c in (("torque", coloured), ("force", force)):
+        moves = np.array([answer(**{name: np.eye(n)[k]}) for k in range(n)]).T
+        covariance += moves @ (c.sigma**2 * np.exp(-lag / c.time)) @ moves.T
+    e = readings.ravel() - answer(command)
+    whole = -0.5 * (e @ np.linalg.solve(covariance, e) + np.linalg.slogdet(2 * math.pi * covariance)[1])
+    assert found.log_likelihood == pytest.approx(whole, rel=1e-6)
+    assert np.sum(found.whitened**2) == pytest.approx(e @ np.linalg.solve(covariance, e), rel=1e-6)
+
+
+def test_innovations_are_white_likeliest_at_the_truth_and_the_smoothed_torque_is_what_acted():
+    out, torque = disturbed_axis(3, 1500, 0.05, 0.3)
+    readings = out.encoder[:, None]
+    found = innovations(axis(), out.command, readings, torque=Coloured(0.05, 0.3))
+    white = found.whitened[50:, 0]
+    assert np.mean(white**2) == pytest.approx(1.0, abs=0.15)
+    assert abs(np.mean(white[1:] * white[:-1])) < 0.1
+    others = [innovations(axis(), out.command, readings, torque=c).log_likelihood
+              for c in (None, Coloured(0.01, 0.3), Coloured(0.25, 0.3), Coloured(0.05, 0.01))]
+    assert all(found.log_likelihood > other + 5.0 for other in others)
+    score = (found.smoothed[50:-50, 0] - torque[50:-50]) / found.deviations[50:-50, 0]
+    assert np.mean(score**2) == pytest.approx(1.0, abs=0.35)
+    assert np.corrcoef(found.smoothed[50:-50, 0], torque[50:-50])[0, 1] > 0.9
+    stronger = with_constants(axis(), {"motor.gain": 0.012})
+    wrong = innovations(stronger, out.command, readings, torque=Coloured(0.05, 0.3))
+    assert found.log_likelihood > wrong.log_likelihood + 20.0
 
 
 def test_level_0_is_the_perfect_world_bit_by_bit():
