@@ -19,8 +19,11 @@ from scipy.signal import cont2discrete, lsim
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from tests import truth as tr
+from tests.truth.cases import _weighted as weighted
 from tests.truth.cases import multisine_test, prbs_test
-from tests.truth.disturbance import Pushes, draw_pushes, draw_world, gauss_markov
+from tests.truth.disturbance import Pushes, directions, draw_pushes, draw_world, gauss_markov, shown
+from tests.truth.disturbance import _nodes as paths_of_nodes
+from tests.truth.innovations import Coloured, innovations
 from tests.truth.plant import ELEMENTS, beam_matrices, linear_system, mechanics
 from tests.truth.rigs import own_sigma, with_constants
 from tests.truth.simulate import compensator
@@ -782,6 +785,108 @@ def test_modes_are_moved_by_their_own_factors_and_the_rigid_arm_not_at_all():
     assert np.max(np.abs(moved.stiffness @ moved.lift[0])) < 1e-10
 
 
+@pytest.mark.parametrize("loop", ["open", "p2", "lead"])
+def test_slow_disturbances_act_as_their_directions_say(loop):
+    """A path of nodes, sent through the whole simulation, moves encoder and accelerometer as its column."""
+    test = tr.step_test(500.0, loop, 8.0, 1.0) if loop != "open" else tr.pulse_test(500.0, 60.0, duration=1.0)
+    truth, world, n = tr.Truth(tr.SFLR), draw_world(4, 0.001), len(test.reference)
+
+    def run(truth, pushes, reference=None):
+        reference = test.reference if reference is None else reference
+        return truth.run(reference, tr.CONTROLLERS[loop], rounding=False, pushes=pushes)
+
+    quiet = run(truth, None)
+    columns = np.array(directions(world, truth, quiet, run))
+    torque = 1e-3 / math.sqrt(2) * shown(truth, quiet)[0] * paths_of_nodes(n, truth.period, world.times["torque"])
+    drift = 1e-3 / math.sqrt(2) * paths_of_nodes(n, truth.period, world.times["drift"])
+    tried = [(0, {"torque": torque[:, 0]}), (2, {"torque": torque[:, 2]}), (torque.shape[1], {"drift": drift[:, 0]}),
+             (torque.shape[1] + drift.shape[1], {"speed": 1e-3 * np.std(speed(quiet))})]
+    for column, pushes in tried:
+        out = run(truth, replace(still(n), **pushes))
+        for channel, name in enumerate(("encoder", "accel")):
+            moved = getattr(out, name) - getattr(quiet, name)
+            assert columns[channel][:, column] == pytest.approx(moved, abs=1e-3 * np.max(np.abs(moved))), (column, name)
+    factors = np.ones(8)
+    factors[0] = math.exp(0.0005)
+    moved = run(truth.detuned(factors), None).accel - quiet.accel
+    first = torque.shape[1] + drift.shape[1] + 2
+    assert columns[1][:, first] == pytest.approx(moved, abs=0.02 * np.max(np.abs(moved)))
+
+
+def test_severity_in_a_world_takes_its_disturbances_for_what_they_are():
+    """Tens of thousands of chi squared by disturbance count for little more than their degrees of freedom."""
+    case = tr.make_case(301, ["coulomb_friction"], count=3)
+    measure = tr.Severity(case.rig, case.truth["logs"], case.truth["common"], case.tests, case.conditions,
+                          world=draw_world(301, 0.02))
+    quiet, disturbed = (weighted(tr.simulate_case(case.rig, [], case.tests, case.conditions, exact=True, world=world),
+                                 case.conditions) for world in (None, draw_world(301, 0.02)))
+    error, freedom = disturbed - quiet, sum(d.size for _, _, d in measure.white)
+    assert error @ error > 200.0 * freedom and measure.white[0][1].shape[0] == 2 * len(case.tests[0].reference)
+    assert measure._counted(error) @ measure._counted(error) < 5.0 * freedom
+    cause, (grade,) = case.effects[0], case.truth["severity"].values()
+    faint = tr.Severity(case.rig, case.truth["logs"], case.truth["common"], case.tests, case.conditions,
+                        world=draw_world(301, 1e-7))
+    assert faint.of(cause) == pytest.approx(grade, rel=0.02)
+    assert 10.0 < measure.of(cause) < 0.3 * grade
+
+
+def test_a_case_sized_in_its_world_is_as_plain_there_as_its_band_says():
+    case = tr.make_case(8, ["command_bias"], count=3, band=(230.0, 2000.0), disturbance=0.02, sized_in_world=True)
+    grade, = case.truth["severity_in_world"].values()
+    assert 230.0 <= grade <= 2000.0 < next(iter(case.truth["severity"].values()))
+
+
+def disturbed_axis(seed: int, n: int, sigma: float, time: float) -> tuple[tr.Output, np.ndarray]:
+    """An open loop on the axis under a coloured torque, read with rounding, and that torque."""
+    rng = np.random.default_rng(seed)
+    torque = sigma * gauss_markov(rng, n, 0.002, time)
+    command = np.repeat(rng.integers(-80, 81, n), rng.integers(5, 40, n))[:n].astype(float)
+    pushes = replace(still(n), torque=torque)
+    return tr.Truth(axis()).run(command, OPEN, pushes=pushes), torque
+
+
+def test_innovations_are_those_of_the_joint_density_of_all_readings():
+    """Of few rows the density is written out whole: mean and covariance of all readings from the very start."""
+    n, coloured, force = 12, Coloured(0.3, 0.02), Coloured(0.02, 0.005)
+    rng = np.random.default_rng(2)
+    command, readings = rng.uniform(-50, 50, n), rng.normal(0.0, 3.0, (n, 2))
+    found = innovations(tr.SFLR, command, readings, torque=coloured, force=force, start_spread=0.0)
+    truth = tr.Truth(tr.SFLR)
+
+    def answer(command=None, **pushes) -> np.ndarray:
+        out = truth.run(np.zeros(n) if command is None else command, OPEN, rounding=False,
+                        pushes=replace(still(n), **pushes))
+        return np.column_stack([out.encoder, out.accel]).ravel()
+
+    covariance = np.diag(np.tile([0.29**2, 1.0], n))
+    lag = np.abs(np.subtract.outer(np.arange(n), np.arange(n))) * 0.002
+    for name, c in (("torque", coloured), ("force", force)):
+        moves = np.array([answer(**{name: np.eye(n)[k]}) for k in range(n)]).T
+        covariance += moves @ (c.sigma**2 * np.exp(-lag / c.time)) @ moves.T
+    e = readings.ravel() - answer(command)
+    whole = -0.5 * (e @ np.linalg.solve(covariance, e) + np.linalg.slogdet(2 * math.pi * covariance)[1])
+    assert found.log_likelihood == pytest.approx(whole, rel=1e-6)
+    assert np.sum(found.whitened**2) == pytest.approx(e @ np.linalg.solve(covariance, e), rel=1e-6)
+
+
+def test_innovations_are_white_likeliest_at_the_truth_and_the_smoothed_torque_is_what_acted():
+    out, torque = disturbed_axis(3, 1500, 0.05, 0.3)
+    readings = out.encoder[:, None]
+    found = innovations(axis(), out.command, readings, torque=Coloured(0.05, 0.3))
+    white = found.whitened[50:, 0]
+    assert np.mean(white**2) == pytest.approx(1.0, abs=0.15)
+    assert abs(np.mean(white[1:] * white[:-1])) < 0.1
+    others = [innovations(axis(), out.command, readings, torque=c).log_likelihood
+              for c in (None, Coloured(0.01, 0.3), Coloured(0.25, 0.3), Coloured(0.05, 0.01))]
+    assert all(found.log_likelihood > other + 5.0 for other in others)
+    score = (found.smoothed[50:-50, 0] - torque[50:-50]) / found.deviations[50:-50, 0]
+    assert np.mean(score**2) == pytest.approx(1.0, abs=0.35)
+    assert np.corrcoef(found.smoothed[50:-50, 0], torque[50:-50])[0, 1] > 0.9
+    stronger = with_constants(axis(), {"motor.gain": 0.012})
+    wrong = innovations(stronger, out.command, readings, torque=Coloured(0.05, 0.3))
+    assert found.log_likelihood > wrong.log_likelihood + 20.0
+
+
 def test_level_0_is_the_perfect_world_bit_by_bit():
     tests = [tr.step_test(500.0, "lead", 100.0, 1.0), tr.pulse_test(500.0, 120.0, duration=1.0)]
     plain, none = (tr.make_case(5, ["coulomb_friction"], tests, band=None, **k) for k in ({}, {"disturbance": 0.0}))
@@ -799,7 +904,9 @@ def test_an_imperfect_case_hides_what_its_perfect_twin_hides_and_repeats_by_its_
     twin, case, again, harder = (tr.make_case(6, ["dead_zone"], tests, band=None, disturbance=level)
                                  for level in (0.0, 0.02, 0.02, 0.04))
     seen = {"causes", "constants", "logs", "common", "severity", "conditions", "seed", "outside"}
-    assert all(twin.truth[key] == case.truth[key] for key in seen) and set(case.truth) - seen == {"disturbance"}
+    assert all(twin.truth[key] == case.truth[key] for key in seen)
+    assert set(case.truth) - seen == {"disturbance", "severity_in_world"}
+    assert 0.0 < case.truth["severity_in_world"]["dead_zone@amplifier"] < case.truth["severity"]["dead_zone@amplifier"]
     assert case.truth == again.truth and case.truth["disturbance"]["level"] == 0.02
     assert json.loads(json.dumps(case.truth)) is not None
     for one, two, three, four in zip(twin.runs, case.runs, again.runs, harder.runs, strict=True):

@@ -3,6 +3,7 @@
     python scripts/bench/blind.py --out blind [--cases 520] [--first-seed 20000] [--effort full] [--workers 2]
                                   [--sum-up] [--only clear subtle clean pair outside]
                                   [--hidden dead_zone hardening_spring@clamp] [--disturbance 0 0.02]
+                                  [--rig servo] [--untold]
 
 Case i has the seed first-seed + i and five to eight runs.  Clear and subtle single causes (every effect of the
 catalogue at each of its places, every constant of the rig), clean rigs, pairs of clear causes and rigs with something
@@ -13,7 +14,12 @@ makes visible are listed, not counted.
 
 --disturbance gives the worlds in which every case is drawn, each the share of command torque and accelerometer signal
 that is disturbed besides (tests/truth/disturbance.py); 0, the default, is a perfect world. A case hides the same in all
-of them. Every world has its own tables, and the calibration is told over all together, too.
+of them, of the size that its class has in the perfect world, so that some are drowned by the disturbances; with
+--sized-in-world it has that size where it stands.  Every world has its own tables, and the calibration is told over
+all together, too.
+
+--rig servo draws a geared servo that swings a pendulum in place of the flexible arm; with --untold the runs do not say
+what closed their loops.
 
 The table goes to standard output as Markdown, the same numbers to summary.json and each case's line to standard error.
 """
@@ -42,8 +48,8 @@ from station.campaign.outcome import Key, Outcome, Task  # noqa: E402
 from station.campaign.program import sources_hash  # noqa: E402
 from station.campaign.run import Results, run_campaign, so_far  # noqa: E402
 from station.campaign.summary import calibration, coverage, largest, median, share, summary, title  # noqa: E402
-from tests.diagnose.blind import Cause, blind_task, judge, table  # noqa: E402
-from tests.truth import SFLR, effect_names, outside_names, uncertain_keys  # noqa: E402
+from tests.diagnose.blind import RIGS, Cause, blind_task, judge, table  # noqa: E402
+from tests.truth import RigDict, effect_names, outside_names, uncertain_keys  # noqa: E402
 from tests.truth.sizes import BANDS, largest_parameter  # noqa: E402
 
 MIX = {"clear": 128, "subtle": 128, "clean": 102, "pair": 82, "outside": 62}
@@ -64,6 +70,8 @@ WANTED: dict[str, dict[bool, tuple[float, float]]] = {
 }
 """Shares wanted (lowest, highest) in a perfect world and in an imperfect one.  Those of perfect worlds that must be
 high are what a former campaign reached: no share may lie below it by more than its interval."""
+LEAST = {"clear": 200.0, "subtle": 25.0}
+"""Least severity of each class."""
 PLAIN = {f"parameter:{key}" for key in ("drive.stiffness", "base.inertia", "clamp.stiffness", "beam.length",
                                           "accelerometer.gain")}
 """Constants that pairs may hold: on most rigs some size of these is clear, of the others on few or none."""
@@ -80,13 +88,13 @@ def code_hash() -> str:
     return sources_hash([ROOT / "tests/truth", ROOT / "tests/diagnose/blind.py"])
 
 
-def causes(band: str) -> tuple[list[Cause], dict[str, str]]:
+def causes(band: str, rig: RigDict) -> tuple[list[Cause], dict[str, str]]:
     """Every cause that can have a severity in the band, and why the others cannot."""
-    found: list[Cause] = [key for key in effect_names(SFLR) if band == "clear" or key != CLOCK]
+    found: list[Cause] = [key for key in effect_names(rig) if band == "clear" or key != CLOCK]
     never = {} if band == "clear" else {title(CLOCK): "not sized; counted with the clear ones"}
-    for key in uncertain_keys(SFLR):
+    for key in uncertain_keys(rig):
         name = f"parameter:{key}"
-        most = largest_parameter(name, SFLR) ** 2
+        most = largest_parameter(name, rig) ** 2
         if most < BANDS[band][0]:
             never[name] = f"moved as far as is physical it costs its own uncertainty {most:.0f} of chi squared"
         else:
@@ -105,22 +113,24 @@ def pairs(items: Sequence[Cause], rng: np.random.Generator) -> Iterator[list[Cau
 
 
 def campaign(first_seed: int, effort: str, only: Sequence[str], chosen: Sequence[Cause],
-             worlds: Sequence[float] = (0.0,)) -> Iterator[Task]:
+             worlds: Sequence[float] = (0.0,), sized_in_world: bool = False, rig: str = "sflr",
+             known_controller: bool = True) -> Iterator[Task]:
     """Cases without end, each in all worlds in turn."""
     rng = np.random.default_rng([first_seed, 0xB11D])
-    singles = {band: [c for c in causes(band)[0] if not chosen or c in chosen] for band in BANDS}
-    plain = [c for c in causes("clear")[0] if c != CLOCK and (":" not in c[0] or c[0] in PLAIN)]
+    singles = {band: [c for c in causes(band, RIGS[rig])[0] if not chosen or c in chosen] for band in BANDS}
+    plain = [c for c in causes("clear", RIGS[rig])[0] if c != CLOCK and (":" not in c[0] or c[0] in PLAIN)]
     hidden: dict[str, Iterator[list[Cause]]] = {
         **{band: ([c] for c in in_turn(singles[band], rng)) for band in BANDS},
         "clean": iter(lambda: [], None), "pair": pairs(plain, rng),
-        "outside": ([(name, None)] for name in in_turn(outside_names(SFLR), rng))}
+        "outside": ([(name, None)] for name in in_turn(outside_names(RIGS[rig]), rng))}
     weights = {name: MIX[name] for name in MIX if name in only and singles.get(name, True)}
     for i, name in enumerate(by_share(weights)):
         band = {"clear": "clear", "subtle": "subtle", "pair": "clear"}.get(name)
         causes_of_case = next(hidden[name])
         for level in worlds:
             yield blind_task(first_seed + i, causes_of_case, effort=effort, runs=None, band=band, group=name,
-                             disturbance=level)
+                             disturbance=level, sized_in_world=sized_in_world and level > 0.0, rig=rig,
+                             known_controller=known_controller)
 
 
 def figures(outcomes: Sequence[Outcome], perfect: bool = True) -> list[dict[str, Any]]:
@@ -132,14 +142,20 @@ def figures(outcomes: Sequence[Outcome], perfect: bool = True) -> list[dict[str,
     def both(o: Outcome) -> bool:
         return o.keys <= set(o.said)
 
+    def plain(o: Outcome, band: str) -> bool:
+        return all(s is None or s >= LEAST[band] for s in o.severity)
+
     def listed(o: Outcome) -> bool:
         return o.keys <= {*o.said, *o.rivals}
 
     rows: list[tuple[str, dict[str, Any]]] = [
         ("clear single causes named first", share(o.named for o in of["clear"])),
         ("… named or a listed rival", share(o.listed for o in of["clear"])),
+        ("… named, of those that are clear in their world", share(o.named for o in of["clear"] if plain(o, "clear"))),
         ("subtle ones named first", share(o.named for o in of["subtle"])),
         ("… named or a listed rival", share(o.listed for o in of["subtle"])),
+        ("… named, of those that are subtle at least in their world",
+         share(o.named for o in of["subtle"] if plain(o, "subtle"))),
         ("clean rigs accused", share(bool(o.causes) for o in of["clean"])),
         ("both causes of a pair found", share(map(both, of["pair"]))),
         ("… found or listed rivals", share(map(listed, of["pair"]))),
@@ -240,11 +256,11 @@ def by_parameter(outcomes: Sequence[Outcome]) -> str:
     return "\n".join(lines)
 
 
-def report(results: Results, out: Path, arguments: dict[str, Any], levels: dict[str, float]) -> str:
+def report(results: Results, out: Path, arguments: dict[str, Any], levels: dict[str, float], rig: RigDict) -> str:
     """Write summary.json and give the Markdown; ``levels``: the world of every case, by its label."""
     outcomes = [o for o in results.outcomes if o.unmade is None]
     whole = summary(results)
-    never = {f"{band}: {name}": why for band in BANDS for name, why in causes(band)[1].items()}
+    never = {f"{band}: {name}": why for band in BANDS for name, why in causes(band, rig)[1].items()}
     parts, worlds = [], {}
     for level in sorted({levels[o.label] for o in outcomes}):
         here = [o for o in outcomes if levels[o.label] == level]
@@ -283,15 +299,20 @@ def main() -> int:
     parser.add_argument("--hidden", nargs="+", default=[], metavar="EFFECT[@AT]", help="only these single causes")
     parser.add_argument("--disturbance", nargs="+", type=float, default=[0.0], metavar="LEVEL",
                         help="draw every case in these worlds; 0 is perfect, 0.02 disturbs 2 %% of the signals")
+    parser.add_argument("--sized-in-world", action="store_true",
+                        help="size what is hidden in an imperfect world by how plain it is there")
+    parser.add_argument("--rig", choices=list(RIGS), default="sflr")
+    parser.add_argument("--untold", action="store_true", help="the runs do not say what closed their loops")
     parser.add_argument("--sum-up", action="store_true", help="do nothing, sum up what is there")
     options = parser.parse_args()
-    places = {title((e, at or "")): (e, at) for band in BANDS for e, at in causes(band)[0]}
+    places = {title((e, at or "")): (e, at) for band in BANDS for e, at in causes(band, RIGS[options.rig])[0]}
     names = [n for text in options.hidden for n in places if text in (n, n.partition("@")[0])]
     if options.hidden and not names:
         parser.error(f"--hidden: none of {', '.join(places)}")
     worlds = list(dict.fromkeys(options.disturbance))
-    tasks = list(islice(campaign(options.first_seed, options.effort, options.only, [places[n] for n in names], worlds),
-                        options.cases * len(worlds)))
+    endless = campaign(options.first_seed, options.effort, options.only, [places[n] for n in names], worlds,
+                       options.sized_in_world, options.rig, not options.untold)
+    tasks = list(islice(endless, options.cases * len(worlds)))
     options.out.mkdir(parents=True, exist_ok=True)
     done = 0
 
@@ -317,7 +338,7 @@ def main() -> int:
         results = so_far(tasks, options.out, code=code_hash())
     print(report(results, options.out, {key: str(value) if isinstance(value, Path) else value
                                         for key, value in vars(options).items()},
-                 {task.label: task.spec["disturbance"] for task in tasks}))
+                 {task.label: task.spec["disturbance"] for task in tasks}, RIGS[options.rig]))
     return 1 if results.failed else 0
 
 

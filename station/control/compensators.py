@@ -18,7 +18,9 @@ A controller is described by a small dictionary (the ``controller`` of a run or 
 
 The pid is the standard form with a filtered derivative (Astrom & Hagglund, Advanced PID Control, 2006, ch. 3).  The
 recursion runs on its own output after the limit and before rounding, as the laboratory's program did
-(confirmed by replaying its logs).
+(confirmed by replaying its logs).  So an integral does not wind up; but what the limit cuts off of a derivative's kick
+is lost to the integral too, and drives the other way: gain (1 + derivative/filter) times a step of the reference should
+stay within the limit.
 """
 
 from __future__ import annotations

@@ -117,6 +117,12 @@ def state_matrix(assembly: Assembly) -> np.ndarray:
     return a
 
 
+def axis_moment(assembly: Assembly, motor_damping: float) -> np.ndarray:
+    """Row (2n) over [q, q'] of the torque that beam and clamp exert on a motor without a drive, N m."""
+    viscous = assembly.damping[assembly.motor] - motor_damping * assembly.unit(assembly.motor)
+    return -np.concatenate([assembly.stiffness[assembly.motor], viscous])
+
+
 def torque_input(assembly: Assembly, torque: np.ndarray) -> np.ndarray:
     """B (2n) = [0, M^-1 F] of a generalised torque F (n) of one N m."""
     return np.concatenate([np.zeros(assembly.size), np.linalg.solve(assembly.mass, torque)])

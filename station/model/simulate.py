@@ -13,7 +13,7 @@ import numpy as np
 from station.control.compensators import Compensator, commanded
 from station.errors import WorkError
 from station.model import stepper
-from station.model.assembly import Assembly, assemble, torque_input
+from station.model.assembly import Assembly, assemble, axis_moment, torque_input
 from station.model.compiled import address
 from station.model.effects import Effect, Stage
 from station.model.modal import ModalForm, apply, modal_form
@@ -87,12 +87,6 @@ def _decoupled(tables: _Tables) -> tuple[Assembly, ModalForm]:
     return parts, modal_form(parts)
 
 
-def _moment(parts: Assembly, motor_damping: float) -> np.ndarray:
-    """Row over [q, q'] of the torque that beam and clamp exert on a motor without a drive, N m."""
-    viscous = parts.damping[parts.motor] - motor_damping * parts.unit(parts.motor)
-    return -np.concatenate([parts.stiffness[parts.motor], viscous])
-
-
 @functools.lru_cache(maxsize=32)
 def _sampled(tables: _Tables, ports: tuple[str, ...], period: float, substeps: int, delay: float, truncation: float,
              ) -> tuple[ModalForm, stepper.Plan, float]:
@@ -120,7 +114,7 @@ def _sampled(tables: _Tables, ports: tuple[str, ...], period: float, substeps: i
     port_held = np.array([apply(held, torque) for torque in torques]).reshape(-1, 2 * form.blocks)
     joints = [getattr(rig, port) if port in ("drive", "clamp") else None for port in ports]
     slots, first, arguments, _ = _slots(rig, [], ports)
-    moment = _moment(parts, rig.motor.damping) @ form.basis
+    moment = axis_moment(parts, rig.motor.damping) @ form.basis
     switched = np.zeros_like(command)
     if switch >= 0:
         switched = apply(form.exponential(h - switch_time), apply(form.integral(switch_time), command))

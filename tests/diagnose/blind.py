@@ -1,6 +1,6 @@
 """One blind case: a rig with a hidden cause, tested, diagnosed, and then held against what was hidden.
 
-The code under test is given the case's runs and the nominal rig `sflr`, nothing else.
+The code under test is given the case's runs and the nominal rig, nothing else.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from station.campaign.processes import over_processes
 from station.campaign.program import program_hash
 from station.campaign.run import attempt
 from station.campaign.summary import title
-from tests.truth import OUTSIDE, Case, make_case
+from tests.truth import OUTSIDE, SERVO, SFLR, Case, make_case
 
 BAND = (400.0, 1e5)
 """Severity that a hidden effect is sized for unless a task says otherwise: from twice what the contract calls clear to
@@ -22,24 +22,33 @@ what nobody overlooks.  `clock_scale` and causes outside the catalogue are not s
 costs its own uncertainty, can seldom be as plain: from what the contract calls clear on."""
 RUNS = 5
 
+RIGS = {"sflr": SFLR, "servo": SERVO}
+"""Rigs that cases are drawn around: the flexible arm, and a geared servo that swings a pendulum."""
+
 Cause = tuple[str, str | None]
 """(effect, at); at None where the effect has one place, or any will do."""
 
 
 def blind_task(seed: int, hidden: Sequence[Cause] = (), *, effort: str = "full", runs: int | None = RUNS,
-               band: str | None = None, group: str = "", disturbance: float = 0.0) -> Task:
+               band: str | None = None, group: str = "", disturbance: float = 0.0,
+               sized_in_world: bool = False, rig: str = "sflr", known_controller: bool = True) -> Task:
     """One case to be made and diagnosed; with nothing hidden a clean rig.
 
     `runs` None: five to eight; `band`: "clear" or "subtle", else BAND; `disturbance`: level of an imperfect world
-    (tests/truth/disturbance.py), 0 for a perfect one.
+    (tests/truth/disturbance.py), 0 for a perfect one; `sized_in_world`: the band holds there, not in the perfect world;
+    `rig`: one of RIGS; `known_controller`: whether the runs say what closed their loops.
     """
     name = "+".join(title((effect, at or "")) for effect, at in hidden) or "clean"
-    world = f"disturbed{disturbance:g}" if disturbance else ""
-    label = "-".join(part for part in (f"{seed:06d}", world, band, name, effort) if part)
+    world = f"{'sized' if sized_in_world else 'disturbed'}{disturbance:g}" if disturbance else ""
+    told = "" if rig == "sflr" else rig
+    loops = "" if known_controller else "untold"
+    label = "-".join(part for part in (f"{seed:06d}", told, loops, world, band, name, effort) if part)
     outside = any(effect in OUTSIDE for effect, _ in hidden)
     kind = "clean" if not hidden else "outside" if outside else "single" if len(hidden) == 1 else "pair"
     return Task(label, group or kind, {"seed": seed, "hidden": [list(cause) for cause in hidden], "effort": effort,
-                                       "runs": runs, "band": band, "disturbance": disturbance})
+                                       "runs": runs, "band": band, "disturbance": disturbance,
+                                       "sized_in_world": sized_in_world, "rig": rig,
+                                       "known_controller": known_controller})
 
 
 def made(task: Task) -> Case:
@@ -49,12 +58,13 @@ def made(task: Task) -> Case:
     if band is None:
         band = "clear" if any(effect.startswith("parameter:") for effect, _ in task.spec["hidden"]) else BAND
     return make_case(task.spec["seed"], hidden, count=task.spec["runs"], band=band,
-                     disturbance=task.spec["disturbance"])
+                     nominal=RIGS[task.spec["rig"]], disturbance=task.spec["disturbance"],
+                     sized_in_world=task.spec["sized_in_world"], known_controller=task.spec["known_controller"])
 
 
 def judge(task: Task) -> Outcome:
     """Make a case, diagnose it blind, open the seal."""
-    from station.rig import load_rig
+    from station.rig import Rig, load_rig
 
     begun = time.perf_counter()
     try:
@@ -62,8 +72,11 @@ def judge(task: Task) -> Outcome:
     except ValueError as error:
         return Outcome(task.label, task.group, unmade=str(error), making=time.perf_counter() - begun)
     making = time.perf_counter() - begun
-    return diagnosed(task, load_rig("sflr"), case.runs, task.spec["effort"], hidden=case.truth["causes"],
-                     outside=bool(case.truth["outside"]), severity=list(case.truth["severity"].values()),
+    name = task.spec["rig"]
+    nominal = load_rig(name) if name == "sflr" else Rig.model_validate(RIGS[name])
+    return diagnosed(task, nominal, case.runs, task.spec["effort"], hidden=case.truth["causes"],
+                     outside=bool(case.truth["outside"]),
+                     severity=list(case.truth.get("severity_in_world", case.truth["severity"]).values()),
                      making=making)
 
 

@@ -2,6 +2,7 @@
 generator (tests.truth) has too, on the same beam so that only the effect can differ; wrong sizes are told apart."""
 
 import math
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -22,9 +23,11 @@ from tests.truth import (
     CATALOGUE,
     CONTROLLERS,
     RIGID_AXIS,
+    SERVO,
     SFLR,
     TWO_MASS,
     Conditions,
+    draw_servo_tests,
     effect_names,
     pulse_test,
     simulate_case,
@@ -467,6 +470,22 @@ def test_readings_move_smoothly_with_a_gap_and_with_friction(rig, name, at, size
 
     less, as_it_is, more = (readings(share) for share in (0.999, 1.0, 1.001))
     assert np.linalg.norm(more - 2.0 * as_it_is + less) < 0.02 * np.linalg.norm(0.5 * (more - less))
+
+
+def test_a_servos_readings_move_smoothly_with_load_friction_and_hardly_with_the_step():
+    """A thousandth more must do what a thousandth less undoes; a quarter of the step changes less than 0.01 counts."""
+    rig = Rig.model_validate(SERVO)
+    tests = draw_servo_tests(np.random.default_rng(1), SERVO, 4)
+
+    def readings(fraction: float, longest: float = 5e-4) -> np.ndarray:
+        model = build(rig.with_effects([*rig.effects, effect_class("load_friction")(at="motor", fraction=fraction)]),
+                      longest=longest)
+        runs = [replace(as_run(test), t=np.arange(len(test.reference)) / rig.sample_rate) for test in tests]
+        return np.concatenate([simulate_model(model, run, rounding=False, start_angle=START).encoder for run in runs])
+
+    less, as_it_is, more = (readings(0.3 * share) for share in (0.999, 1.0, 1.001))
+    assert np.linalg.norm(more - 2.0 * as_it_is + less) < 0.02 * np.linalg.norm(0.5 * (more - less))
+    assert np.abs(readings(0.3, 1.25e-4) - as_it_is).max() < 0.01 and np.ptp(as_it_is) > 500.0
 
 
 def test_a_users_own_effect_joins_without_recompiling_the_stepper(rig):

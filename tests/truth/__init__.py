@@ -51,7 +51,8 @@ Rigs are drawn within 2 sigma (`rigs.draw_logs`) and kept if `cases.behaves`. Se
 the chi squared lost by the best re-fitted rig without the cause.
 
 A case's world is perfect but for its causes and noise, or imperfect by a level (`make_case(..., disturbance=0.02)`,
-module `disturbance`): torque, gain, modes, sensor and start each a little off, the hidden causes the same.
+module `disturbance`): torque, gain, modes, sensor and start each a little off, the hidden causes the same. What is
+plain in a perfect world may drown there: `severity_in_world` takes the disturbances into account.
 
 Outside the catalogue (`OUTSIDE`), none of which is a law of the contract: presliding_friction (a bristle
 that bends over degrees, its level wavy with angle), angle_friction (dry friction of the base, wavy with

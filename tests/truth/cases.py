@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from station.runs.run import Run, RunMetadata
 
 from . import sizes
-from .disturbance import Pushes, World, draw_pushes, draw_world
+from .disturbance import Pushes, World, directions, draw_pushes, draw_world, signal_share
 from .rigs import SERVO, SFLR, RigDict, draw_logs, get_constant, own_sigma, shifted, uncertain_keys, with_constants
 from .simulate import CONTROLLERS, OUTSIDE, Effect, Output, Truth
 
@@ -192,25 +192,30 @@ def simulate_case(
     truth = Truth(constants, effects, step, detuning=world.detuning if world else ())
     outputs = []
     for test, c in zip(tests, conditions, strict=True):
-
-        def made(pushes: Pushes | None, test: Test = test, c: Conditions = c) -> Output:
-            return truth.run(
-                test.reference,
-                CONTROLLERS[test.controller],
-                start=c.start,
-                start_angle=c.start_angle,
-                gap_place=c.gap_place,
-                zero_angle=c.zero_angle,
-                accel_offset=c.accel_offset,
-                accel_sigma=0.0 if exact else c.accel_sigma,
-                rounding=not exact,
-                rng=np.random.default_rng(c.seed),
-                pushes=pushes,
-            )
-
-        quiet = made(None)
-        outputs.append(quiet if world is None else made(draw_pushes(world, truth, quiet, c.seed)))
+        made = _run(truth, test, c, exact)
+        if world is not None:
+            made = _run(truth, test, c, exact, draw_pushes(world, truth, made, c.seed))
+        outputs.append(made)
     return outputs
+
+
+def _run(
+    truth: Truth, test: Test, c: Conditions, exact: bool, pushes: Pushes | None = None, reference: Array | None = None
+) -> Output:
+    """One test under its conditions; `reference` in place of its own."""
+    return truth.run(
+        test.reference if reference is None else reference,
+        CONTROLLERS[test.controller],
+        start=c.start,
+        start_angle=c.start_angle,
+        gap_place=c.gap_place,
+        zero_angle=c.zero_angle,
+        accel_offset=c.accel_offset,
+        accel_sigma=0.0 if exact else c.accel_sigma,
+        rounding=not exact,
+        rng=np.random.default_rng(c.seed),
+        pushes=pushes,
+    )
 
 
 def _weighted(outputs: Sequence[Output], conditions: Sequence[Conditions], read: bool = False) -> Array:
@@ -235,6 +240,9 @@ class Severity:
     (rounding inside a loop moves every rig at random). The smaller of two numbers counts: as it stands, and with the
     rounding and noise of the case's own readings in both rigs' residuals. So what hides below the rounding counts for
     nothing, and what the rounding feigns does neither.
+
+    In an imperfect `world` the errors are not white: a misfit counts by what noise and disturbances together leave of
+    it (generalised least squares; covariance of the disturbances by `directions`, on the rig without effects).
     """
 
     def __init__(
@@ -245,6 +253,7 @@ class Severity:
         tests: Sequence[Test],
         conditions: Sequence[Conditions],
         others: Sequence[Effect] = (),
+        world: World | None = None,
     ) -> None:
         self.constants, self.tests, self.conditions, self.others = constants, tests, conditions, list(others)
         sigmas = constants["uncertainty"]
@@ -259,8 +268,40 @@ class Severity:
         self.weight = np.r_[np.ones(len(self.own)), np.full(2 * n, 1e-3)]
         per_row = 2 if constants.get("accelerometer") and constants.get("beam") else 1
         self.edges = np.cumsum([0] + [len(t.reference) * per_row for t in tests])
+        self.white = self._whitening(world) if world is not None else []
         self.y0 = self._model(self.start)
         self.s0 = self._slopes(self.start, self.y0)
+
+    def _whitening(self, world: World) -> list[tuple[Array, Array, Array]]:
+        """Per run: scale of the rows, then U and d of Sigma^-1/2 = (1 + U d U^T) after that scale."""
+        truth, found = Truth(self.constants), []
+        for test, c in zip(self.tests, self.conditions, strict=True):
+
+            def run(truth: Truth, pushes: Pushes | None, reference: Array | None = None, test: Test = test,
+                    c: Conditions = c) -> Output:
+                return _run(truth, test, replace(c, start="released"), True, pushes, reference)
+
+            quiet = run(truth, None)
+            encoder, accel = directions(world, truth, quiet, run)
+            sigmas = [math.sqrt(0.05**2 + 1 / 12)] + [math.sqrt(c.accel_sigma**2 + 1 / 12)] * truth.has_accelerometer
+            wide = math.hypot(sigmas[-1], signal_share(world, truth, quiet))
+            scale = np.repeat([1.0, sigmas[-1] / wide][: len(sigmas)], len(quiet.t))
+            both = [encoder / sigmas[0], accel / wide][: len(sigmas)]
+            squares, inner = np.linalg.eigh(sum(part.T @ part for part in both))
+            keep = squares > 1e-4
+            u = np.concatenate(both) @ (inner[:, keep] / np.sqrt(squares[keep]))
+            found.append((scale, u, 1.0 / np.sqrt(1.0 + squares[keep]) - 1.0))
+        return found
+
+    def _counted(self, column: Array) -> Array:
+        """A column of weighted outputs, or a difference of two, with the disturbances' covariance taken out."""
+        if not self.white:
+            return column
+        parts = []
+        for r, (scale, u, d) in enumerate(self.white):
+            part = scale * column[self.edges[r] : self.edges[r + 1]]
+            parts.append(part + u @ (d * (u.T @ part)))
+        return np.concatenate(parts)
 
     def _model(self, z: Array) -> Array:
         """Weighted outputs without the cause; z: constants in sigmas, angles in 0.01 rad, offsets in counts."""
@@ -276,7 +317,7 @@ class Severity:
             for c, a, b in zip(self.conditions, z[m : m + n], z[m + n :], strict=True)
         ]
         outputs = simulate_case(shifted(self.constants, by_key), self.others, self.tests, around, exact=True)
-        return _weighted(outputs, around)
+        return self._counted(_weighted(outputs, around))
 
     def _slopes(self, z: Array, y: Array) -> Array:
         m, n = len(self.own), len(self.tests)
@@ -319,8 +360,8 @@ class Severity:
     def of(self, cause: Effect, turns: int = 12) -> float:
         """The severity of `cause`; with few turns an upper bound of it. inf where the rig runs away."""
         effects = [*self.others, cause]
-        truth = _weighted(
-            simulate_case(self.constants, effects, self.tests, self.conditions, exact=True), self.conditions
+        truth = self._counted(
+            _weighted(simulate_case(self.constants, effects, self.tests, self.conditions, exact=True), self.conditions)
         )
         if not np.all(np.isfinite(truth)):
             return math.inf
@@ -354,11 +395,11 @@ class Severity:
             if gained < 0.02 * max(best, 5.0):
                 break
         outputs = simulate_case(self.constants, effects, self.tests, self.conditions)
-        noise = _weighted(outputs, self.conditions, read=True) - _weighted(outputs, self.conditions)
+        noise = self._counted(_weighted(outputs, self.conditions, read=True) - _weighted(outputs, self.conditions))
         known = noise
         if name == "stuck_bit":  # what the bit adds is noise to the rig without it alone
             quiet = simulate_case(self.constants, self.others, self.tests, self.conditions)
-            known = _weighted(quiet, self.conditions, read=True) - _weighted(quiet, self.conditions)
+            known = self._counted(_weighted(quiet, self.conditions, read=True) - _weighted(quiet, self.conditions))
         # Both rigs' constants at last make of the noise, and of nearness to nominal, what pays.
         gap = truth - y
         read = _best(s, gap + noise, self.weight, z) - _best(with_s, known, free, with_z)
@@ -418,6 +459,7 @@ def make_case(
     count: int | None = None,
     host_time: bool | None = None,
     disturbance: float = 0.0,
+    sized_in_world: bool = False,
     known_controller: bool = True,
 ) -> Case:
     """A blind case, the same for the same arguments.
@@ -432,6 +474,8 @@ def make_case(
 
     `disturbance` is the level of what is imperfect besides (`disturbance`), 0 for a perfect world. Rig, causes, their
     sizes and severities, tests and conditions are those of the perfect world, unless its disturbed runs do not behave.
+    What was plain there may be hard to see here: `severity_in_world` says how plain it is (`Severity`). With
+    `sized_in_world` it is this severity that falls into the band; rig, tests and conditions may then be others.
     Without `known_controller` the runs do not say what closed their loops.
     """
     world = draw_world(seed, disturbance)
@@ -452,7 +496,7 @@ def make_case(
         conditions = _draw_conditions(rng, drawn_tests, accel_sigma)
         if not behaves(simulate_case(rig, [], drawn_tests, conditions), drawn_tests, rig):
             continue
-        measure = Severity(rig, own, common, drawn_tests, conditions)
+        measure = Severity(rig, own, common, drawn_tests, conditions, world=world if sized_in_world else None)
         settled: list[Effect] = []
         grades: dict[str, float] = {}
         for wanted in effects:
@@ -479,7 +523,10 @@ def make_case(
                 continue
         case = _case(seed, rig, nominal, settled, grades, drawn_tests, conditions, outputs, own, common, rng, host_time)
         if world is not None:
-            case.truth["disturbance"] = asdict(world)
+            other = Severity(rig, own, common, drawn_tests, conditions, world=None if sized_in_world else world)
+            seen = dict(zip(grades, map(other.of, settled), strict=True))
+            perfect, here = (seen, grades) if sized_in_world else (grades, seen)
+            case.truth.update(severity=perfect, severity_in_world=here, disturbance=asdict(world))
         if not known_controller:
             case.runs[:] = [replace(r, metadata=r.metadata.model_copy(update={"controller": {"kind": "unknown"}}))
                             for r in case.runs]

@@ -18,12 +18,13 @@ are drawn once for a case.  What is stated are standard deviations; one run's ow
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
+from scipy.signal import fftconvolve, lfilter
 
 from .plant import MODES, transition
 
@@ -34,6 +35,8 @@ Array = NDArray[np.float64]
 
 TIMES = {"torque": (0.1, 2.0), "drift": (3.0, 20.0), "force": (0.02, 0.3), "noise": (0.004, 0.05)}
 """Range of each correlation time, s; drawn evenly in the logarithm."""
+NODES = 5.0
+"""Per correlation time, of paths that are worked out rather than drawn."""
 STREAM = 0xD157
 """Keeps these draws apart from all others of a seed."""
 
@@ -120,3 +123,57 @@ def _motion(truth: Truth, quiet: Output) -> tuple[Array, Array]:
     """Base speed, rad/s, and the tip's deflection from the line of the root, m; 0 without a beam."""
     speed, root, tip = quiet.trace[:, 3], quiet.trace[:, 4], quiet.trace[:, 6]
     return speed, tip - root * truth.rig["beam"]["length"] if truth.mech.has_tip else np.zeros(len(speed))
+
+
+def directions(world: World, truth: Truth, quiet: Output, run: Callable[..., Output]) -> tuple[Array, Array]:
+    """What slow disturbances may do to a run's encoder and accelerometer: (n, m) counts each, columns of variance 1.
+
+    `run(truth, pushes)` gives the run on a rig, without rounding and noise. Torque and drift: nodes NODES per
+    correlation time, joined by straight lines, through the loop's response to one tick of torque (linear, as where
+    nothing is at its limit). Modes and start: by finite differences. Force and noise are left to `signal_share`.
+    """
+    n, share = len(quiet.t), world.level / math.sqrt(2.0)
+    acting = quiet.trace[np.minimum(np.arange(n) + 1, n - 1), 13]  # a tick's trace shows what acted until then
+    paths = [share * shown(truth, quiet)[0] * _nodes(n, truth.period, world.times["torque"]),
+             share * truth.gain * acting[:, None] * _nodes(n, truth.period, world.times["drift"])]
+    tick = 1e-3 * truth.gain * truth.par["limit"]
+    pulse = [_readings(run(truth, _still(n, torque=tick * (np.arange(n) == k)), np.zeros(n))) for k in (0, n)]
+    answers = [(one - other)[:, None] / tick for one, other in zip(*pulse, strict=True)]
+    found = [fftconvolve(answers[channel], np.hstack(paths), axes=0)[:n] for channel in (0, 1)]
+    speed, bend = (world.level * float(np.std(x)) for x in _motion(truth, quiet))
+    still = [_readings(quiet)]
+    moved = [_readings(run(truth, _still(n, speed=speed))), _readings(run(truth, _still(n, bend=bend)))]
+    for mode in range(MODES if truth.mech.has_tip else 0):
+        factors = np.ones(MODES)
+        factors[mode] = math.exp(0.05 * world.level)
+        change = [(a - b) / 0.1 for a, b in zip(_readings(run(truth.detuned(factors), None)), still[0], strict=True)]
+        moved.append([b + c for b, c in zip(still[0], change, strict=True)])
+    for channel in (0, 1):
+        extra = np.array([row[channel] - still[0][channel] for row in moved]).T
+        found[channel] = np.hstack([found[channel], extra])
+    return found[0], found[1]
+
+
+def signal_share(world: World, truth: Truth, quiet: Output) -> float:
+    """Standard deviation of the accelerometer's own disturbance, by force and noise together, counts."""
+    return world.level * shown(truth, quiet)[1]
+
+
+def _nodes(n: int, period: float, time: float) -> Array:
+    """Paths (n, m) of a Gauss-Markov process of variance 1, one per independent number."""
+    count = max(2, math.ceil(NODES * n * period / time)) + 1
+    places = np.linspace(0.0, n * period, count)
+    lower = np.linalg.cholesky(np.exp(-np.abs(places[:, None] - places) / time))
+    t = np.arange(n) * period
+    hats = np.array([np.interp(t, places, row) for row in np.eye(count)]).T
+    return hats @ lower
+
+
+def _still(n: int, **pushes: Any) -> Pushes:
+    zero = np.zeros(n)
+    return Pushes(**({"torque": zero, "drift": zero, "force": zero, "noise": zero, "speed": 0.0, "bend": 0.0} | pushes))
+
+
+def _readings(out: Output) -> tuple[Array, Array]:
+    encoder, accel = out.unrounded
+    return encoder, np.zeros(len(encoder)) if accel is None else accel

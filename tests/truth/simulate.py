@@ -222,6 +222,7 @@ class Truth:
         detuning: Sequence[float] = (),
     ) -> None:
         effects = [*rig.get("effects", ()), *effects]
+        self.arguments = (rig, effects, step, elements, modes)
         check_effects(rig, effects)
         values = {e["effect"].removeprefix("parameter:"): e["value"] for e in effects if ":" in e["effect"]}
         self.rig = rig = with_constants(rig, values)
@@ -337,6 +338,12 @@ class Truth:
         if system.lag_state >= 0:
             self.c_load[system.lag_state] = self.gain
         self.has_accelerometer = accelerometer is not None
+
+    def detuned(self, factors: Sequence[float]) -> Truth:
+        """The same with other frequencies of the beam's modes."""
+        rig, effects, step, elements, modes = self.arguments
+        known = len(rig.get("effects", ()))
+        return Truth(rig, effects[known:], step, elements, modes, factors)
 
     def _twist(self, torque: float, place: float) -> float:
         """Motor angle less base angle at which the drive's springs pass `torque`; in a gap, `place` of its
