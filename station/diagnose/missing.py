@@ -22,8 +22,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from station.estimation.noise import QUANTISATION, noise_sigmas, rest_rows
 from station.errors import UsageError
+from station.estimation.noise import QUANTISATION, noise_sigmas, rest_rows
 from station.model import stepper
 from station.model.assembly import Assembly, torque_input
 from station.model.compiled import njit

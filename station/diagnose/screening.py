@@ -183,7 +183,8 @@ def _pairs(known: _Eliminated, rows: Sequence[tuple[Screened, list[np.ndarray] |
     for gain, i, j, sizes in sorted(found, key=lambda row: -row[0]):
         one, other = leading[i][0], leading[j][0]
         if gain > max(one.gain, other.gain):
-            pairs.append((replace(one, gain=gain, size=float(sizes[0])), replace(other, gain=gain, size=float(sizes[1]))))
+            first, second = (float(size) for size in sizes)
+            pairs.append((replace(one, gain=gain, size=first), replace(other, gain=gain, size=second)))
     return pairs
 
 

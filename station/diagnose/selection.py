@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -232,7 +232,7 @@ def _look_back(search: Selection, found: Fit) -> None:
 
 
 def _finish(search: Selection) -> None:
-    """Fit the best set and its close rivals to the end under the weighing of the best: no set loses by where it ended."""
+    """Fit the best set and its close rivals to the end under the best's weighing: none loses by where it ended."""
     for _ in range(2):
         best = search.best()
         ranked = sorted(search.fits.values(), key=lambda f: -search.score(f))
@@ -246,7 +246,6 @@ def _finish(search: Selection) -> None:
 
 def refined(search: Selection, found: Fit) -> Fit:
     """A fit brought to its very end with finer simulations: values are stated from it."""
-    from dataclasses import replace
     finer = replace(search.predictor, accuracy=FINE)
     return fit(finer, found.space, search.weighing, found.x, found.start, found.offset, iterations=12, tolerance=0.02,
                renewals=4)

@@ -23,8 +23,8 @@ SURE = 0.8
 BEYOND = 3.0
 """Sigmas of its stated uncertainty from which on a constant may be accused (the contract)."""
 VISIBLE = 25.0
-"""Fall of -2 ln L at which an effect of a usual size shows: five sigma, so that among some hundred guesses none shows by
-chance."""
+"""Fall of -2 ln L at which an effect of a usual size shows: five sigma, so that among some hundred guesses none shows
+by chance."""
 NOISE = 6.0
 """z-score of what is left, over runs and channels, beyond which it is no noise: five sigma and one for non-Gaussian
 rounding."""

@@ -132,9 +132,9 @@ def predicted_ahead(predictor: Predictor, fits: Sequence[Fit] | Fit, nominal: bo
 
 
 def unseen_gain(without: Sequence[Fit], found: Sequence[Fit]) -> float:
-    """By how much causes lower the errors of unseen runs at all horizons: a share, of fits that leave run after run out.
+    """By how much causes lower the errors of unseen runs: a share, of fits that leave run after run out.
 
-    The geometric mean over the blocks, as the likelihood sees them.
+    The geometric mean over the blocks (all horizons and channels), as the likelihood sees them.
     """
     logs = [0.5 * np.log(np.maximum(before.squares[r], 1e-12) / np.maximum(after.squares[r], 1e-12))
             for r, (before, after) in enumerate(zip(without, found, strict=True))]

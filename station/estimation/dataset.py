@@ -16,7 +16,7 @@ from station.runs.run import Run
 ELEMENTS = 8
 """Fewest beam elements of the fits: with fewer the mesh's own error would look like physics."""
 SEGMENT = 1.0
-"""Length of the stretches that are drawn again when data are resampled, s: longer than what an arm's errors remember."""
+"""Length of the stretches that are drawn again when data are resampled, s: longer than an arm's errors remember."""
 SEGMENTS = 40
 """Most stretches in all runs together; they grow longer instead."""
 RESTS = 100

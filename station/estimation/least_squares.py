@@ -203,7 +203,8 @@ class _Descent:
                      (self.runs[:, None] * self.weighing.independent)[self.runs > 0.0]) / self.weighing.temperature
         value += float(self.space.precision @ (x - self.space.mean) ** 2)
         value += float(np.sum(self.nuisance * self.away(start, offset) ** 2))
-        return _Point(x, start, offset, predicted, residuals, squares, value if np.all(np.isfinite(squares)) else np.inf)
+        value = value if np.all(np.isfinite(squares)) else np.inf
+        return _Point(x, start, offset, predicted, residuals, squares, value)
 
     def column(self, here: _Point, k: int) -> list[np.ndarray]:
         """Derivatives of the scaled predictions by one parameter or nuisance, per run; 0 where none is simulated.
@@ -306,7 +307,7 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
     """
     data = predictor.data
     descent = _Descent(predictor, space, weighing, np.ones(len(data.runs)) if runs is None else runs, parallel)
-    here = descent.at(x, data.start.copy() if start is None else start, data.offset.copy() if offset is None else offset)
+    here = descent.at(x, data.start if start is None else start, data.offset if offset is None else offset)
     if not np.isfinite(here.objective):
         raise ArithmeticError("the fit's start does not simulate")
     fresh = jacobian is None

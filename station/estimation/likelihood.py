@@ -30,7 +30,7 @@ from station.estimation.dataset import Dataset
 BANDS = 12.0
 """Half-width over which spectra are smoothed where independent errors are counted, over the cube root of n."""
 NUISANCES = (0.35, 0.5)
-"""Prior sigmas of a run's starting angle and accelerometer offset, counts: rounding's, and what drifts between tests."""
+"""Prior sigmas of a run's starting angle and accelerometer offset, counts: rounding's, and drift between tests."""
 TEMPERATURES = 4
 """Rounds in which a temperature and the precision that it enters settle."""
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from station.estimation.noise import QUANTISATION, noise_sigmas
 from station.errors import WorkError
+from station.estimation.noise import QUANTISATION, noise_sigmas
 from station.model.frequency import finite_element_response, measured_response
 from station.model.simulate import Model, build, simulate_model
 from station.rig import Rig
