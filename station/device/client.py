@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+import time
 from collections import deque
 from dataclasses import dataclass
 from typing import Any
@@ -83,15 +84,16 @@ class Client:
     def _request(self, name: str, answer: str, before: bytes = b"", **values: Any) -> Any:
         """Send until the answer comes; other frames that come meanwhile are kept in ``inbox``.
 
-        ``before``: bytes sent together with it.
+        ``before``: bytes sent together with it.  Each try ends ANSWER_SECONDS after it was sent, whatever else comes:
+        a line that babbles holds nobody up.
         """
         wanted, code = MESSAGES[answer], MESSAGES[name].code
         frame = encode(MESSAGES[name].pack(**values))
         seen = 0
         for self._tries in range(1, TRIES + 1):
             self.port.write(before + frame)
-            waited = 0.0
-            while waited < ANSWER_SECONDS:
+            waited, end = 0.0, time.perf_counter() + ANSWER_SECONDS
+            while waited < ANSWER_SECONDS and time.perf_counter() < end:
                 data = self.port.read_waiting()
                 if not data:
                     waited += TIMEOUT
@@ -144,7 +146,8 @@ class Client:
         """
         self.session = self.decoder.session = 0
         found = self._request("identify", "identity", b"\0", version=PROTOCOL.version, hash=PROTOCOL.hash)
-        while self._tries > 1 and (data := self.port.read_waiting()):
+        end = time.perf_counter() + ANSWER_SECONDS
+        while self._tries > 1 and time.perf_counter() < end and (data := self.port.read_waiting()):
             self.inbox.extend(self.decoder.feed(data))
         for body in self.inbox:  # each try is answered, and the last answer counts
             if body[0] == _IDENTITY and len(body) == MESSAGES["identity"].body_size:

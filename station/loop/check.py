@@ -16,8 +16,9 @@ from station.device.client import Client
 from station.device.port import Port
 from station.device.simulated import PlantSource
 from station.errors import UsageError
-from station.loop.engine import Counts, Session
-from station.loop.run_test import arm, connect, measure_rest
+from station.loop.engine import Counts, Session, Setup
+from station.loop.display import watched
+from station.loop.run_test import connect, measure_rest
 from station.rig import Rig
 
 LEAST_TRAVEL = 4.0
@@ -81,12 +82,10 @@ def check(port: Port, rig: Rig, amplitude: float = 20.0, progress: Callable[[int
     commands = np.floor(pulse(rate, amplitude, 0.15, 1.6, 0.2, second=0.9) + 0.5)
     ahead = [*commands[1:].astype(int).tolist(), 0]
     rows: list[tuple[int, int, int, int]] = []
-    arm(client, identity, rate, amplitude)
-    tell = None if progress is None else lambda row: progress(row, len(commands))
-    session = Session(client, len(commands), lambda row, encoder, accel: ahead[row],
-                      lambda row, clock, encoder, accel, command, *others: rows.append((row, encoder, accel, command)),
-                      progress=tell)
-    counts = session.run()
+    session = Session(client, Setup(identity, rate, amplitude), len(commands), lambda row, encoder, accel: ahead[row],
+                      lambda row, clock, encoder, accel, command, *others: rows.append((row, encoder, accel, command)))
+    with watched(session, None if progress is None else lambda row: progress(row, len(commands))):
+        counts = session.run()
     index, encoder, accel, applied = np.array(rows).T
     in_force = np.zeros(len(commands))
     in_force[index] = applied

@@ -10,9 +10,10 @@ from station.device.client import Client, Identity
 from station.device.port import Port
 from station.device.protocol import Status
 from station.errors import UsageError, WorkError
-from station.loop.engine import Counts, Session
-from station.loop.run_test import arm, identify_clear
-from station.loop.timing import DeviceClock, Spread
+from station.loop.clocks import DeviceClock
+from station.loop.engine import Counts, Session, Setup
+from station.loop.run_test import identify_clear
+from station.loop.timing import Spread
 
 _LATENCY_TIMER = 0.004
 """Samples that come in bursts at least so far apart (s) point to an adapter's latency timer."""
@@ -59,8 +60,8 @@ def loopback(port: Port, rate: float | None = None, seconds: float = 2.0) -> Loo
                received: float, written: float) -> None:
         rows.append((row, clock.seconds(ticks), status, received, written))
 
-    arm(client, identity, rate, limit=0.0)
-    session = Session(client, max(round(seconds * rate), 2), lambda row, encoder, accel: 0, record)
+    session = Session(client, Setup(identity, rate, limit=0.0), max(round(seconds * rate), 2),
+                      lambda row, encoder, accel: 0, record)
     fault = None
     try:
         session.run()

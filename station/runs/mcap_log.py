@@ -7,6 +7,7 @@ rest (``mcap_read.py``).
 
 from __future__ import annotations
 
+import contextlib
 import os
 import threading
 import time
@@ -80,12 +81,61 @@ class _Encoder:
         self.writer.finish()
 
 
+class _Pieces:
+    """A file that grows by whole pieces: what was written since the last ``commit`` is in the file, or not at all.
+
+    On a full disk, the file is cut back to the last whole piece.
+    """
+
+    def __init__(self, path: Path, mode: str) -> None:
+        self._file = path.open(mode, buffering=0)
+        self._piece = bytearray()
+        self._whole = 0
+
+    def write(self, data: bytes) -> int:
+        """Take bytes of the piece."""
+        self._piece += data
+        return len(data)
+
+    def flush(self) -> None:
+        """Bytes wait for ``commit``."""
+
+    def tell(self) -> int:
+        """Bytes taken so far."""
+        return self._whole + len(self._piece)
+
+    def commit(self) -> None:
+        """Write the piece; OSError where it is not wholly in the file, which then ends before it."""
+        piece = memoryview(self._piece)
+        try:
+            written = 0
+            while written < len(piece):
+                written += self._file.write(piece[written:]) or 0
+        except OSError:
+            with contextlib.suppress(OSError):
+                self._file.truncate(self._whole)
+            raise
+        self._whole += len(piece)
+        piece.release()
+        self._piece = bytearray()
+
+    def sync(self) -> None:
+        """Have the system put it on the disk."""
+        os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        self._file.close()
+
+
 class McapLogWriter:
     """Write a run as it goes, off the sample path.
 
-    ``append`` puts a row on a bounded queue; a thread writes the rows every 50 ms and syncs the file once a
-    second.  A full queue makes ``append`` wait (``waits`` counts how often); no row is ever dropped.  When the
-    disk fails, the next ``append`` or ``close`` raises WorkError; what was written stays readable.
+    ``append`` puts a row on a bounded queue and returns; a thread writes the rows every 50 ms and syncs the file once
+    a second.  No row is ever dropped: where the queue is full, the disk does not keep up, and ``append`` raises
+    WorkError, which ends the test; what waits is still written at ``close``.  A run in virtual time, whose device
+    waits for the host, waits for the disk instead (``waits`` counts how often).  When the disk fails, the next
+    ``append`` or ``close`` raises WorkError; what was written stays readable, and ``rows_written`` says how many rows
+    that are.  A log without any row is removed at ``close``.
 
     ``columns`` names the values of a row; the default is LOG_COLUMNS (n, t, reference, command, encoder, accel,
     device_time, host_time, status, command_sent, latency, slack).  n and status are integers; command_sent,
@@ -100,42 +150,45 @@ class McapLogWriter:
         if fault:
             raise WorkError(f"{self.path}: {fault}")
         self.waits = 0
+        self.rows_written = 0
+        self._may_wait = metadata.entries().get("clock", "virtual") == "virtual"
         self._capacity, self._blueprint = capacity, blueprint
         self._queue: deque[Sequence[float]] = deque()
         self._columns = tuple(columns)
         self._changed: RunMetadata | None = None
         self._failure: Exception | None = None
+        self._taken = 0  # rows that have left the queue
         self._closing = False
         self._wake, self._drained = threading.Event(), threading.Event()
         try:
-            self._file = self.path.open("wb" if overwrite else "xb")
+            self._file = _Pieces(self.path, "wb" if overwrite else "xb")
         except OSError as error:
             raise WorkError(f"{self.path}: cannot be written ({reason(error)})") from None
         try:
             self._encoder = _Encoder(self._file, metadata, self._columns)
-            os.fsync(self._file.fileno())
+            self._file.commit()
+            self._file.sync()
         except OSError as error:
             self._file.close()
+            self.path.unlink(missing_ok=True)
             raise WorkError(f"{self.path}: cannot be written ({reason(error)})") from None
         self._thread = threading.Thread(target=self._work, name="station-log", daemon=True)
         self._thread.start()
 
-    @property
-    def rows_written(self) -> int:
-        """Rows handed to the file so far."""
-        return self._encoder.rows
-
     def append(self, row: Sequence[float]) -> None:
-        """Take one row (a tuple in the order of ``columns``); waits only where the queue is full."""
+        """Take one row (a tuple in the order of ``columns``)."""
         if self._closing:
             raise WorkError(f"{self.path}: the log is closed")
         self._queue.append(row)
         if len(self._queue) >= self._capacity:
-            self._wait()
+            self._full()
         if self._failure is not None:
             raise self._failed()
 
-    def _wait(self) -> None:
+    def _full(self) -> None:
+        if not self._may_wait:
+            raise WorkError(f"{self.path}: the disk does not keep up, {len(self._queue)} rows wait for it; "
+                            "log to a faster one")
         self.waits += 1
         while len(self._queue) >= self._capacity and self._failure is None:
             self._drained.clear()
@@ -147,7 +200,7 @@ class McapLogWriter:
         self._changed = metadata
 
     def _failed(self) -> WorkError:
-        lost = len(self._queue)
+        lost = self._taken + len(self._queue) - self.rows_written
         return WorkError(f"{self.path}: the log cannot be written ({reason(self._failure)}); "
                          f"{self.rows_written} rows are in the file, {lost} are lost")
 
@@ -162,7 +215,7 @@ class McapLogWriter:
                 if closing:
                     return
                 if time.monotonic() - synced >= SYNC_SECONDS:
-                    os.fsync(self._file.fileno())
+                    self._file.sync()
                     synced = time.monotonic()
         except Exception as error:  # whatever it was, the thread that appends must hear of it
             self._failure = error
@@ -172,10 +225,12 @@ class McapLogWriter:
         queue = self._queue
         rows = len(queue)
         for _ in range(rows):
-            self._encoder.row(queue[0])
-            queue.popleft()
+            self._taken += 1
+            self._encoder.row(queue.popleft())
         if rows:
             self._encoder.writer.flush()
+            self._file.commit()
+            self.rows_written += rows
             self._drained.set()
 
     def close(self, metadata: RunMetadata | None = None) -> None:
@@ -190,8 +245,8 @@ class McapLogWriter:
         try:
             if self._failure is None:
                 self._encoder.finish(self._changed)
-                self._file.flush()
-                os.fsync(self._file.fileno())
+                self._file.commit()
+                self._file.sync()
         except OSError as error:
             self._failure = error
         finally:
@@ -201,7 +256,9 @@ class McapLogWriter:
                 self._failure = self._failure or error
         if self._failure is not None:
             raise self._failed()
-        if self._blueprint:
+        if not self.rows_written:
+            self.path.unlink(missing_ok=True)
+        elif self._blueprint:
             write_blueprint(blueprint_path(self.path), self._columns)
 
     def __enter__(self) -> McapLogWriter:

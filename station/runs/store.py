@@ -160,4 +160,6 @@ def _summary(path: Path) -> RunSummary:
         run = load_run(path)
     except WorkError as error:
         return RunSummary(path, problem=str(error))
+    except Exception as error:  # a file that a library chokes on hides none of the others
+        return RunSummary(path, problem=f"{path}: cannot be read ({type(error).__name__}: {error})")
     return RunSummary(path, len(run), run.sample_rate, run.metadata)
