@@ -119,7 +119,7 @@ static void begin(uint16_t session)
     const station_arm arm = {.challenge = identity.challenge};
     station_pack_arm(&arm, body);
     request(body, STATION_BODY_ARM);
-    const station_start start = {.session = session};
+    const station_start start = {.session = session, .challenge = identity.challenge};
     station_pack_start(&start, body);
     request(body, STATION_BODY_START);
 }

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from station.device.framing import Decoder, encode
+from station.device.limits import NO_LIMITS, DeviceLimits
 from station.device.port import TIMEOUT, Port
 from station.device.protocol import (
     LIMITS,
@@ -17,6 +18,7 @@ from station.device.protocol import (
     PROTOCOL,
     BoardFlags,
     Fault,
+    Reset,
     Result,
     State,
     Status,
@@ -34,12 +36,18 @@ _WORDS = {
     Result.NOT_CONFIGURED: "it is not configured since it was last identified",
     Result.OUT_OF_RANGE: "a value is beyond what its firmware allows",
     Result.MOVING: "the arm is moving",
+    Result.ESTOP_OPEN: "its e-stop is open; close it",
+    Result.LINE_TOO_SLOW: "its line cannot carry sample and command in time at this rate; "
+                          "take a higher baud rate, more answer_ticks or a lower sample rate",
 }
 
 
 @dataclass(frozen=True)
 class Identity:
-    """What a device says of itself; rates in Hz, the limit in counts."""
+    """What a device says of itself; rates in Hz, limits in counts, ``allowance`` (of each answer) in s.
+
+    ``baud_rate`` is 0 where the device's line has none; ``reset``: why it was last reset.
+    """
 
     board: str
     build: int
@@ -50,19 +58,28 @@ class Identity:
     rate_max: float
     command_limit: int
     virtual_time: bool
-    reset: int
+    reset: Reset | int
     state: State
+    limits: DeviceLimits = NO_LIMITS
+    baud_rate: int = 0
+    allowance: float = 0.0
 
     @property
     def zero_id(self) -> str:
         """Names the encoder's zero: the same until the device is powered down or zeroed."""
         return f"{self.boot:08x}.{self.zeroings}"
 
+    @property
+    def reset_words(self) -> str:
+        """Why it was last reset, for people."""
+        return self.reset.name.lower() if isinstance(self.reset, Reset) else f"code {self.reset}"
+
     def summary(self) -> dict[str, Any]:
         """For a run's metadata."""
         return {"board": self.board, "build": f"{self.build:08x}", "protocol": PROTOCOL.version,
                 "protocol_hash": f"{PROTOCOL.hash:08x}", "boot": f"{self.boot:08x}",
-                "command_limit": self.command_limit, "clock_hz": self.clock_hz, "virtual_time": self.virtual_time}
+                "command_limit": self.command_limit, "clock_hz": self.clock_hz, "virtual_time": self.virtual_time,
+                "reset": self.reset_words}
 
 
 class Client:
@@ -80,6 +97,7 @@ class Client:
         self.paced = True
         self._tries = 0
         self._challenge = 0
+        self._limits = NO_LIMITS
 
     def _request(self, name: str, answer: str, before: bytes = b"", **values: Any) -> Any:
         """Send until the answer comes; other frames that come meanwhile are kept in ``inbox``.
@@ -155,18 +173,26 @@ class Client:
         self.inbox.clear()  # the rest is of an earlier connection
         self._challenge = found.challenge
         self.paced = not found.flags & BoardFlags.VIRTUAL_TIME
+        self._limits = DeviceLimits(found.travel_limit, found.speed_limit, found.stall_command, found.stall_time)
+        reset = Reset(found.reset) if found.reset in Reset._value2member_map_ else found.reset
         return Identity(found.board, found.build, found.boot, found.zeroings, found.clock_hz,
                         found.rate_min / 1000.0, found.rate_max / 1000.0, found.command_limit,
-                        bool(found.flags & BoardFlags.VIRTUAL_TIME), found.reset, State(found.state))
+                        bool(found.flags & BoardFlags.VIRTUAL_TIME), reset, State(found.state), self._limits,
+                        found.baud_rate, found.allowance * 1e-6)
 
     def configure(self, rate: float, command_limit: int, hold_ticks: int | None = None,
-                  fault_ticks: int | None = None, answer_ticks: int = 1) -> None:
-        """Set rate (Hz) and limits; by default hold 1 tick, fault after 10 ticks or 50 ms, the shorter."""
+                  fault_ticks: int | None = None, answer_ticks: int = 1, limits: DeviceLimits | None = None) -> None:
+        """Set rate (Hz) and limits; by default hold 1 tick, fault after 10 ticks or 50 ms, the shorter.
+
+        ``limits`` (``DeviceLimits.of_rig(rig)``) tighten the device's own and never loosen them.
+        """
         longest = max(2, int(rate * LIMITS["fault_time_max_ms"] / 1000.0))
         fault_ticks = min(LIMITS["fault_ticks_default"], longest) if fault_ticks is None else fault_ticks
         hold_ticks = LIMITS["hold_ticks_default"] if hold_ticks is None else hold_ticks
+        held = (limits or NO_LIMITS).within(self._limits)
         self._ask("configure", rate=round(rate * 1000.0), command_limit=command_limit, hold_ticks=hold_ticks,
-                  fault_ticks=fault_ticks, answer_ticks=answer_ticks)
+                  fault_ticks=fault_ticks, answer_ticks=answer_ticks, travel_limit=held.travel,
+                  speed_limit=held.speed, stall_command=held.stall_command, stall_time=held.stall_time)
 
     def arm(self) -> None:
         """Arm, with the challenge of the last identify."""
@@ -175,7 +201,7 @@ class Client:
     def start(self) -> int:
         """Start a session under a new random number, which is returned; samples come from now on."""
         self.session = self.last_session = self.decoder.session = secrets.randbelow(0xFFFF) + 1
-        reply = self._request("start", "reply", session=self.session)
+        reply = self._request("start", "reply", session=self.session, challenge=self._challenge)
         if reply.state != State.RUNNING:
             raise WorkError(f"{self.port.url}: the device refuses to start: "
                             f"it is {state_words(reply.state, reply.fault)}")

@@ -10,6 +10,7 @@ from typing import Protocol
 
 from station.device.core import Board, Core
 from station.device.faults import Faults, FaultyLine
+from station.device.limits import NO_LIMITS, DeviceLimits
 from station.device.protocol import BoardFlags, InputFlags
 from station.errors import UsageError
 from station.model import stepper
@@ -98,11 +99,12 @@ class SimulatedDevice:
     """The firmware core with a source of samples behind it.  Who owns it gives it bytes and calls its ticks."""
 
     def __init__(self, name: str, source: Source, rate: float, limit: float, options: Options, boot: int,
-                 true_period: float | None = None) -> None:
+                 true_period: float | None = None, limits: DeviceLimits | None = None) -> None:
         if not 1.0 <= limit <= _INT16:
             raise UsageError(f"{name}: amplifier.limit {limit:g} counts; a device's command has 1 to {_INT16}")
         flags = BoardFlags.VIRTUAL_TIME if options.speed == 0 else 0
-        board = Board(name, round(rate * 1000.0), math.floor(limit), boot, CLOCK_HZ, int(flags))
+        board = Board(name, round(rate * 1000.0), math.floor(limit), boot, CLOCK_HZ, int(flags),
+                      limits or NO_LIMITS)
         self.options = options
         self.rate = rate
         self.period = true_period or 1.0 / rate
@@ -114,13 +116,14 @@ class SimulatedDevice:
 
     @classmethod
     def of_rig(cls, rig: Rig, options: Options | None = None) -> SimulatedDevice:
-        """The rig as a device; UsageError where its limit or rate cannot be a device's."""
+        """The rig as a device, its limits compiled in; UsageError where limit or rate cannot be a device's."""
         options = options or Options()
         boot = (random.getrandbits(32) if options.seed is None
                 else zlib.crc32(f"{options} {rig.to_toml()}".encode()))
         source = PlantSource(rig, options.angle, options.accel_offset, options.noise, boot)
         scale = next((effect.ratio for effect in rig.effects if effect.name == "clock_scale"), 1.0)
-        return cls(rig.name, source, rig.sample_rate, rig.amplifier.limit, options, boot, rig.period * scale)
+        return cls(rig.name, source, rig.sample_rate, rig.command_limit, options, boot, rig.period * scale,
+                   DeviceLimits.of_rig(rig))
 
     @property
     def silent(self) -> bool:
@@ -160,4 +163,4 @@ class SimulatedDevice:
 
     def advance(self) -> None:
         """Let the drive act on the rig for one period."""
-        self._source.advance(self.core.drive, self.core.running)
+        self._source.advance(self.core.drive, self.core.enabled)

@@ -41,7 +41,8 @@ class Counts:
     From the device's own counters (-1 where it could not be asked): ``device_samples`` sent, ``commands`` taken,
     ``late`` commands, ``held`` and ``zeroed`` ticks, ``device_corrupt`` frames, ``woke_late`` ticks, and commands
     that were ``repeated``, ``limited``, ``refused`` (early or out of the window).  ``after_stop`` samples were sent
-    beyond the last one wanted.  Always device_samples = samples + lost + after_stop.
+    beyond the last one wanted.  ``unsent`` samples found no room in the device's buffer (they are ``lost`` here),
+    ``overruns`` ticks it missed itself.  Always device_samples + unsent = samples + lost + after_stop.
     """
 
     samples: int = 0
@@ -61,6 +62,8 @@ class Counts:
     refused: int = -1
     device_corrupt: int = -1
     woke_late: int = -1
+    unsent: int = -1
+    overruns: int = -1
 
     def as_dict(self) -> dict[str, int]:
         """For metadata and JSON."""
@@ -244,7 +247,8 @@ class Session:
         except WorkError:
             return
         counts.device_samples = found.samples
-        counts.after_stop = found.samples - counts.samples - counts.lost
+        counts.unsent, counts.overruns = found.unsent_samples, found.overruns
+        counts.after_stop = found.samples + found.unsent_samples - counts.samples - counts.lost
         counts.commands = found.commands
         counts.late, counts.held, counts.zeroed = found.late, found.held, found.zeroed
         counts.repeated, counts.limited = found.repeated, found.limited

@@ -127,7 +127,7 @@ def test_refusals_are_told_in_words():
         with pytest.raises(WorkError, match="refuses configure: a value is beyond"):
             client.configure(500.0, 201)
         with pytest.raises(WorkError, match="refuses start: it is idle"):
-            client._ask("start", session=1)
+            client._ask("start", session=1, challenge=0)
         with pytest.raises(WorkError, match="refuses zero: the arm is moving"):
             client.zero()
 

@@ -10,11 +10,13 @@ from hypothesis import strategies as st
 from station.device.core import library
 from station.device.framing import encode
 from station.device.protocol import MESSAGES, PROTOCOL, State
+from tests.firmware.conftest import CONFIGURE
 
 EXAMPLES = {
     "identify": {"version": PROTOCOL.version, "hash": PROTOCOL.hash},
-    "configure": {"rate": 500_000, "command_limit": 200, "hold_ticks": 1, "fault_ticks": 10, "answer_ticks": 1},
-    "arm": {"challenge": 0x12003400}, "start": {"session": 0x0100}, "stop": {}, "clear": {}, "zero": {}, "query": {},
+    "configure": CONFIGURE,
+    "arm": {"challenge": 0x12003400}, "start": {"session": 0x0100, "challenge": 0x12003400},
+    "stop": {}, "clear": {}, "zero": {}, "query": {},
     "command": {"index": 300, "command": -150},
 }
 

@@ -3,6 +3,7 @@
 import pytest
 
 from station.device.protocol import PROTOCOL, Result, State, Status
+from tests.firmware.conftest import CONFIGURE
 
 IDLE, ARMED, RUNNING, FAULT = State.IDLE, State.ARMED, State.RUNNING, State.FAULT
 NO = Result.WRONG_STATE
@@ -19,7 +20,7 @@ def bring(bench, state):
     challenge = bring(bench, IDLE)
     bench.ask("arm", challenge=challenge)
     if state in (RUNNING, FAULT):
-        bench.ask("start", session=99)
+        bench.ask("start", session=99, challenge=challenge)
         bench.session = bench.decoder.session = 99
         bench.tick()
     if state == FAULT:
@@ -43,9 +44,8 @@ EXPECTED = {  # request: (result, state after) for idle, armed, running, fault
 @pytest.mark.parametrize("request_name", EXPECTED)
 def test_every_request_in_every_state(bench, request_name, state):
     challenge = bring(bench, state)
-    values = {"configure": {"rate": 500_000, "command_limit": 200, "hold_ticks": 1, "fault_ticks": 10,
-                            "answer_ticks": 1},
-              "arm": {"challenge": challenge}, "start": {"session": 5}}.get(request_name, {})
+    values = {"configure": CONFIGURE, "arm": {"challenge": challenge},
+              "start": {"session": 5, "challenge": challenge}}.get(request_name, {})
     reply = bench.ask(request_name, **values)
     assert (reply.result, reply.state) == EXPECTED[request_name][state]
     assert bench.core.state == reply.state
@@ -117,7 +117,7 @@ def test_a_slow_device_may_wait_two_ticks_and_no_longer(make_bench):
 
 def test_session_zero_is_no_session(bench):
     bench.arm()
-    assert bench.ask("start", session=0).result == Result.OUT_OF_RANGE
+    assert bench.ask("start", session=0, challenge=bench.challenge).result == Result.OUT_OF_RANGE
     assert bench.core.state == ARMED
 
 
