@@ -67,7 +67,7 @@ def perform(line: SerialPort, rig: Rig, controller: dict[str, Any], test: dict[s
     from station.control.references import reference_from_test
     from station.loop.run_test import run_test
 
-    compensator = Compensator.from_spec(controller, rig.sample_rate, rig.amplifier.limit)
+    compensator = Compensator.from_spec(controller, rig.sample_rate, rig.command_limit)
     reference = reference_from_test(test, rig.sample_rate)
     with progress(f"{test['kind']} on {line.url}") as update:
         return run_test(line, rig, compensator, reference, log_sink=sink,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import select
+import selectors
 import signal
 import socket
 import subprocess
@@ -27,6 +27,8 @@ from station.rig import Rig, load_rig
 
 LOOPBACK = "127.0.0.1"
 _CHUNK = 4096
+MAX_CONNECTIONS = 16
+"""Hosts that may be connected at once; for one more the oldest that does not run a session is dropped."""
 
 
 class _PseudoTerminal:
@@ -97,7 +99,10 @@ class _Exchange:
         self._device = device
         self._terminal = _PseudoTerminal() if pty else None
         self._listener: socket.socket | None = None
-        self._ends: list[_PseudoTerminal | _Connection] = [self._terminal] if self._terminal else []
+        self._ends = selectors.SelectSelector()  # the others wait whole milliseconds: a tick would be late
+        self._connections: list[_Connection] = []
+        if self._terminal:
+            self._ends.register(self._terminal, selectors.EVENT_READ)
         self._active: _PseudoTerminal | _Connection | None = None
         if tcp_port is not None:
             self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -111,6 +116,7 @@ class _Exchange:
                                 "choose another port") from None
             self._listener.listen(4)
             self._listener.setblocking(False)
+            self._ends.register(self._listener, selectors.EVENT_READ)
 
     @property
     def path(self) -> str | None:
@@ -129,13 +135,11 @@ class _Exchange:
 
     def receive(self, timeout: float) -> bytes:
         """Bytes from the active host; b"" where none came within timeout seconds."""
-        watched = [*self._ends, self._listener] if self._listener else self._ends
-        ready = select.select(watched, [], [], timeout)[0]
         data = b""
-        for end in ready:
+        for ready, _ in self._ends.select(timeout):
+            end = ready.fileobj
             if end is self._listener:
-                with contextlib.suppress(OSError):
-                    self._ends.append(_Connection(self._listener.accept()[0]))
+                self._accept()
                 continue
             got = end.read()
             if got is None:
@@ -152,17 +156,30 @@ class _Exchange:
         if self._active is not None:
             self._active.write(data)
 
+    def _accept(self) -> None:
+        """Take one more host; where there are MAX_CONNECTIONS the oldest idle one makes room."""
+        try:
+            end = _Connection(self._listener.accept()[0])
+        except OSError:
+            return
+        self._ends.register(end, selectors.EVENT_READ)
+        self._connections.append(end)
+        if len(self._connections) > MAX_CONNECTIONS:
+            self._drop(next(idle for idle in self._connections if idle is not self._active))
+
     def _drop(self, end: _Connection) -> None:
-        self._ends.remove(end)
+        self._ends.unregister(end)
+        self._connections.remove(end)
         end.close()
         if end is self._active:
             self._active = None
 
     def close(self) -> None:
-        for end in self._ends:
-            end.close()
+        for key in list(self._ends.get_map().values()):
+            key.fileobj.close()
         if self._listener is not None:
             self._listener.close()
+        self._ends.close()
 
 
 @dataclass(frozen=True)

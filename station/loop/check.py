@@ -13,11 +13,12 @@ import numpy as np
 
 from station.control.references import pulse
 from station.device.client import Client
+from station.device.limits import DeviceLimits
 from station.device.port import Port
 from station.device.simulated import PlantSource
 from station.errors import UsageError
-from station.loop.engine import Counts, Session, Setup
 from station.loop.display import watched
+from station.loop.engine import Counts, Session, Setup
 from station.loop.run_test import connect, measure_rest
 from station.rig import Rig
 
@@ -73,8 +74,8 @@ def check(port: Port, rig: Rig, amplitude: float = 20.0, progress: Callable[[int
 
     WorkError and UsageError as in ``run_test``; the motor is at zero however it ends.
     """
-    if not 1.0 <= amplitude <= rig.amplifier.limit:
-        raise UsageError(f"amplitude: from 1 to the rig's limit of {rig.amplifier.limit:g} counts, not {amplitude:g}")
+    if not 1.0 <= amplitude <= rig.command_limit:
+        raise UsageError(f"amplitude: from 1 to the rig's limit of {rig.command_limit:g} counts, not {amplitude:g}")
     rate = rig.sample_rate
     client = Client(port)
     identity = connect(client, rig)
@@ -82,7 +83,8 @@ def check(port: Port, rig: Rig, amplitude: float = 20.0, progress: Callable[[int
     commands = np.floor(pulse(rate, amplitude, 0.15, 1.6, 0.2, second=0.9) + 0.5)
     ahead = [*commands[1:].astype(int).tolist(), 0]
     rows: list[tuple[int, int, int, int]] = []
-    session = Session(client, Setup(identity, rate, amplitude), len(commands), lambda row, encoder, accel: ahead[row],
+    setup = Setup(identity, rate, amplitude, limits=DeviceLimits.of_rig(rig))
+    session = Session(client, setup, len(commands), lambda row, encoder, accel: ahead[row],
                       lambda row, clock, encoder, accel, command, *others: rows.append((row, encoder, accel, command)))
     with watched(session, None if progress is None else lambda row: progress(row, len(commands))):
         counts = session.run()

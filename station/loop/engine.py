@@ -15,8 +15,9 @@ from dataclasses import asdict, dataclass
 
 from station.device.client import Client, Identity, state_words
 from station.device.framing import encode
+from station.device.limits import NO_LIMITS, DeviceLimits
 from station.device.port import TIMEOUT
-from station.device.protocol import MESSAGES, State, Status
+from station.device.protocol import MESSAGES, Fault, State, Status
 from station.errors import WorkError
 
 SILENCE_SECONDS = 0.5
@@ -27,6 +28,16 @@ SWITCH_SECONDS = 1e-4
 """Python's thread switch interval in a session in real time (5 ms otherwise: longer than a period)."""
 _SAMPLE, _COMMAND, _FAULT = MESSAGES["sample"], MESSAGES["command"], MESSAGES["fault"]
 _MASK16 = 0xFFFF
+_ADVICE = {
+    Fault.HOST_SILENT: "see why the host was late, then start again",
+    Fault.TRAVEL: "it went beyond limits.travel; bring the arm back, then ask for less",
+    Fault.SPEED: "it went beyond limits.speed; ask for less, and see that the encoder counts well",
+    Fault.STALLED: "the motor was driven and the encoder stood still; see what holds the arm, and the encoder's cable",
+    Fault.OVERRUN: "the board missed a tick; take a lower sample rate",
+    Fault.ESTOP: "its e-stop is open; close it, then start again",
+    Fault.HOST_GONE: "it saw this host leave; check the cable, then start again",
+}
+"""What a person does about each fault of a device."""
 _NAN = float("nan")
 _REMEMBERED = 64
 _UNANSWERED = int(Status.HELD | Status.ZEROED)
@@ -94,12 +105,14 @@ def _undisturbed(paced: bool) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Setup:
-    """What a session runs under: the device that was identified, rate in Hz, limit in counts."""
+    """What a session runs under: the device that was identified, rate in Hz, the command's limit in counts, the
+    rig's limits of travel and speed."""
 
     identity: Identity
     rate: float
     limit: float
     answer_ticks: int = 1
+    limits: DeviceLimits = NO_LIMITS
 
     def arm(self, client: Client) -> None:
         """A fresh identify, configure and arm, as each session needs; WorkError where the device was reset since."""
@@ -107,7 +120,7 @@ class Setup:
         if again.boot != self.identity.boot:
             raise WorkError(f"{client.port.url}: the device was reset meanwhile; start again")
         client.configure(self.rate, min(math.floor(self.limit), self.identity.command_limit),
-                         answer_ticks=self.answer_ticks)
+                         answer_ticks=self.answer_ticks, limits=self.limits)
         client.arm()
 
 
@@ -231,7 +244,7 @@ class Session:
         if body[0] == _FAULT.code:
             message = _FAULT.unpack(body)
             raise WorkError(f"{self.client.port.url}: the device went {state_words(State.FAULT, message.fault)} at "
-                            f"row {row}, its motor is at zero; see why the host was late, then start again")
+                            f"row {row}, its motor is at zero; {_ADVICE.get(message.fault, 'see its cause')}")
 
     def _count_left(self) -> None:
         """Samples that came again and were still unread when the session ended."""

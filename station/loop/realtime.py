@@ -98,8 +98,12 @@ def _one_core(undo: ExitStack) -> None:
 
 
 def _lock_memory(undo: ExitStack) -> None:
+    import resource
+
     libc = ctypes.CDLL(None, use_errno=True)
-    if libc.mlockall(_LOCK_CURRENT | _LOCK_FUTURE) != 0:
+    unlimited = os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
+    future = _LOCK_FUTURE if unlimited else 0  # within a limit, locking what comes makes later allocations fail
+    if libc.mlockall(_LOCK_CURRENT | future) != 0:
         number = ctypes.get_errno()
         raise OSError(number, os.strerror(number))
     undo.callback(libc.munlockall)
@@ -107,8 +111,9 @@ def _lock_memory(undo: ExitStack) -> None:
 
 def _stay_awake(undo: ExitStack) -> None:
     """While this file is open with 0 in it, the kernel enters no sleep state that takes long to leave."""
-    file = undo.enter_context(open(_DMA_LATENCY, "wb", buffering=0))
-    file.write((0).to_bytes(4, sys.byteorder))
+    file = os.open(_DMA_LATENCY, os.O_WRONLY)
+    undo.callback(os.close, file)
+    os.write(file, (0).to_bytes(4, sys.byteorder))
 
 
 # ---- macOS, never run there ----

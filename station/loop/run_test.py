@@ -21,15 +21,22 @@ import numpy as np
 
 from station.control.compensators import Compensator
 from station.device.client import Client, Identity
+from station.device.limits import DeviceLimits
 from station.device.port import Port
 from station.device.protocol import State
-from station.errors import UsageError, WorkError
+from station.errors import UsageError
 from station.loop import checked
 from station.loop.clocks import DeviceClock, HostClock, Pace, pace
 from station.loop.display import watched
 from station.loop.engine import Counts, Session, Setup
 from station.loop.realtime import Realtime, undisturbed_thread
-from station.loop.safety import require_rest, require_small_first_command
+from station.loop.safety import (
+    Guard,
+    clipped_rows,
+    require_rest,
+    require_small_first_command,
+    require_within_limits,
+)
 from station.loop.sink import LogSink
 from station.loop.timing import Histogram, Spread
 from station.rig import Rig
@@ -63,6 +70,8 @@ class LoopResult:
     pace: Pace | None = None
     realtime: Realtime | None = None
     seconds: float = 0.0
+    clipped: int = 0
+    """Rows of an open-loop test whose command was cut to the limit."""
 
 
 def versions() -> dict[str, str]:
@@ -105,7 +114,8 @@ def measure_rest(client: Client, rig: Rig, identity: Identity, seconds: float = 
     client.wait_for_rest(SETTLE_SECONDS)
     readings: list[int] = []
     rows = max(2, round(seconds * rig.sample_rate))
-    Session(client, Setup(identity, rig.sample_rate, limit=0.0), rows, lambda row, encoder, accel: 0,
+    setup = Setup(identity, rig.sample_rate, 0.0, limits=DeviceLimits.of_rig(rig))
+    Session(client, setup, rows, lambda row, encoder, accel: 0,
             lambda row, clock, encoder, accel, *rest: readings.append(accel)).run()
     accel = np.array(readings, dtype=float)
     sigma = float(np.std(accel, ddof=1)) if len(accel) > 1 else 0.0
@@ -138,6 +148,7 @@ def run_test(port: Port, rig: Rig, compensator: Compensator, reference: np.ndarr
     if reference.ndim != 1 or len(reference) < 2 or not np.all(np.isfinite(reference)):
         raise UsageError("reference: at least two finite values in one dimension are wanted")
     require_rest(reference, rig.sample_rate, compensator.open_loop)
+    require_within_limits(rig, reference, compensator.open_loop)
     client = Client(port)
     identity = connect(client, rig)
     check = None if compensator.open_loop else checked.require(port.url, identity, rig, force)
@@ -152,6 +163,7 @@ def run_test(port: Port, rig: Rig, compensator: Compensator, reference: np.ndarr
     require_small_first_command(port.url, rig.sample_rate, compensator, reference[0], rest.encoder, accel_zero)
     compensator.reset(accel_zero)
     clock = HostClock()
+    limit = min(rig.command_limit, compensator.limit)
     known = metadata.entries() if isinstance(metadata, RunMetadata) else dict(metadata or {})
     completed = RunMetadata(**{
         "rig": rig.model_dump(exclude_none=True), "controller": compensator.spec,
@@ -159,12 +171,13 @@ def run_test(port: Port, rig: Rig, compensator: Compensator, reference: np.ndarr
         "firmware": identity.summary(), "zero_id": identity.zero_id, "command_row": -answer_ticks,
         "accel_zero": accel_zero, "accel_sigma": rest.accel_sigma, "start": "released", "rounding": True,
         "answer_ticks": answer_ticks, "clock": "virtual" if identity.virtual_time else "real", "port": port.url,
-        "check": check, "began": clock.wall(clock.host_time).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        "command_limit": limit, "check": check, "began": clock.wall(clock.host_time).strftime("%Y-%m-%dT%H:%M:%SZ"),
         "host_time_began": clock.host_time, "outcome": "running"} | known)
-    setup = Setup(identity, rig.sample_rate, min(rig.amplifier.limit, compensator.limit), answer_ticks)
+    setup = Setup(identity, rig.sample_rate, limit, answer_ticks, DeviceLimits.of_rig(rig))
     sink = log_sink(completed)
     try:
-        result = LoopResult(identity, completed, rest, Counts())
+        result = LoopResult(identity, completed, rest, Counts(),
+                            clipped=clipped_rows(reference, limit, compensator.open_loop))
         _drive(client, setup, compensator, reference, sink, result, progress, abort, realtime)
     finally:
         sink.close()
@@ -188,8 +201,12 @@ def _drive(client: Client, setup: Setup, compensator: Compensator, reference: np
     step, append, seconds = compensator.step, sink.append, DeviceClock(result.identity.clock_hz).seconds
     latencies, device_times, host_times = np.zeros(rows), np.zeros(rows), np.zeros(rows)
 
+    guard = Guard(client.port.url, setup.limits.within(setup.identity.limits), result.rest.encoder)
+
     def respond(row: int, encoder: int, accel: int) -> int:
         """The command for tick row + answer_ticks; beyond the last row 0."""
+        if guard.active:
+            guard.see(row, encoder)
         return math.floor(step(wanted[row + answer_ticks], encoder, accel) + 0.5) if row < last else 0
 
     def record(row: int, device_ticks: int, encoder: int, accel: int, command: int, status: int, sent: float,
@@ -221,7 +238,7 @@ def _drive(client: Client, setup: Setup, compensator: Compensator, reference: np
             result.pace = pace(device_times[came], host_times[came])
         result.metadata = result.metadata.model_copy(update={
             "session": client.last_session, "counts": session.counts.as_dict(), "latency": result.latency.as_dict(),
-            "histogram": result.histogram.as_dict(), "outcome": _outcome(failure),
+            "histogram": result.histogram.as_dict(), "outcome": _outcome(failure), "clipped_rows": result.clipped,
             "realtime": None if result.realtime is None else result.realtime.as_dict(),
             "pace": None if result.pace is None else result.pace.as_dict()})
         sink.update(result.metadata)

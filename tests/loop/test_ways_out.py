@@ -83,20 +83,17 @@ def test_a_log_that_fails(rows, error):
         assert at_rest(port)
 
 
-def test_a_log_that_cannot_be_made_arms_nothing(rows):
+def test_a_log_that_cannot_be_made_arms_nothing(rows, monkeypatch):
     """Whatever ends the making of the log, the device is idle: it was never armed."""
     for error in (WorkError("no room"), KeyboardInterrupt()):
         def refuse(metadata, error=error):
             raise error
         with open_port("sim://sflr") as port:
-            armed = []
-            serial, write = port.serial, port.serial.write
-            serial.write = lambda data: (write(data), armed.append(serial.device.core.state == State.ARMED))[0]
-            with pytest.raises(type(error)):
-                rows.test(port, log_sink=refuse)
+            with monkeypatch.context() as patch:
+                patch.setattr(Client, "arm", lambda self: pytest.fail("armed"))
+                with pytest.raises(type(error)):
+                    rows.test(port, log_sink=refuse)
             assert at_rest(port)
-            assert not any(armed)
-            serial.write = write
             rows.test(port)
 
 
