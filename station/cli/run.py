@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,6 +15,8 @@ from station.cli.terminal import note, number, progress, say
 from station.errors import StationError, UsageError
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from station.device.port import Port as SerialPort
     from station.loop.run_test import LoopResult
     from station.loop.sink import LogSink
@@ -56,25 +59,38 @@ Controller = Annotated[str | None, typer.Option("--controller", metavar="NAME", 
 Gain = Annotated[float | None, typer.Option("--gain", help="The controller's gain in place of its own.")]
 Zero = Annotated[float | None, typer.Option("--zero", help="The lead's zero, rad/s, in place of its own.")]
 Pole = Annotated[float | None, typer.Option("--pole", help="The lead's pole, rad/s, in place of its own.")]
+Force = Annotated[bool, typer.Option("--force", help=(
+    "Run a closed loop without a passed `station check` of this device and rig; the log says so."))]
+RealTime = Annotated[bool, typer.Option("--realtime", help=(
+    "Ask the system for a loop that is not disturbed; what was granted is told and logged."))]
+Tags = Annotated[list[str] | None, typer.Option("--tag", metavar="TAG", help="Tag for the run; may be repeated.")]
+Note = Annotated[str | None, typer.Option("--note", metavar="TEXT", help="Note for the run.")]
 View = Annotated[bool, typer.Option("--view", help="Follow the test in Rerun's viewer, on this machine alone.")]
 Log = Annotated[Path, typer.Option("--out", metavar="FILE", help="Where the run is logged (.mcap).")]
 
 
 def perform(line: SerialPort, rig: Rig, controller: dict[str, Any], test: dict[str, Any],
-            sink: Callable[[RunMetadata], LogSink], **settings: Any) -> LoopResult:
-    """Run one test on the device at an open port, logged to ``sink``; ``settings`` go to ``run_test``."""
+            sink: Callable[[RunMetadata], LogSink], reference: np.ndarray | None = None, **settings: Any) -> LoopResult:
+    """Run one test on the device at an open port, logged to ``sink``; ``settings`` go to ``run_test``.
+
+    ``reference`` (counts) where the test's dictionary does not make it.  The abort key is heard meanwhile.
+    """
+    from station.cli.keys import WORDS as KEYS
+    from station.cli.keys import abort_key
     from station.control.compensators import Compensator
     from station.control.references import reference_from_test
     from station.loop.run_test import run_test
 
     compensator = Compensator.from_spec(controller, rig.sample_rate, rig.command_limit)
-    reference = reference_from_test(test, rig.sample_rate)
-    with progress(f"{test['kind']} on {line.url}") as update:
-        return run_test(line, rig, compensator, reference, log_sink=sink,
+    if reference is None:
+        reference = reference_from_test(test, rig.sample_rate)
+    abort = threading.Event()
+    with abort_key(abort.set) as heard, progress(f"{test['kind']} on {line.url}{f'; {KEYS}' if heard else ''}") as update:
+        return run_test(line, rig, compensator, reference, log_sink=sink, abort=abort,
                         progress=lambda row, rows: update(row / rows), **{"metadata": {"test": test}, **settings})
 
 
-def _sink(out: Path, overwrite: bool, shown: Rig | None) -> Callable[[RunMetadata], LogSink]:
+def log_sink(out: Path, overwrite: bool = False, shown: Rig | None = None) -> Callable[[RunMetadata], LogSink]:
     """Makes the log at ``out``, with a live view beside it where a rig is to be shown."""
     from station.runs import McapLogWriter
 
@@ -90,14 +106,70 @@ def _sink(out: Path, overwrite: bool, shown: Rig | None) -> Callable[[RunMetadat
 
 
 def summary(result: LoopResult, out: Path) -> str:
-    """How a test went, in two lines."""
+    """How a test went, in a few lines: what was counted, how fast samples were answered, what was cut."""
     counts, latency = result.counts, result.latency
-    bad = {"lost": counts.lost, "duplicated": counts.duplicated, "corrupt": counts.corrupt, "late": counts.late,
-           "without command": counts.unanswered}
+    bad = {"lost": counts.lost, "reordered": counts.reordered, "duplicated": counts.duplicated,
+           "corrupt": counts.corrupt, "late": counts.late, "without command": counts.unanswered}
     trouble = ", ".join(f"{value} {name}" for name, value in bad.items() if value > 0) or "nothing lost or late"
-    return (f"{out}: {counts.samples} samples in {number(result.seconds)} s; {trouble}\n"
-            f"answer after {number(1e6 * latency.median)} us (median), {number(1e6 * latency.p99)} us (99 %), "
-            f"{number(1e6 * latency.max)} us (longest)")
+    virtual = " of virtual time" if result.identity.virtual_time else ""
+    lines = [f"{out}: {counts.samples} samples in {number(result.seconds)} s{f' ({duration(result)} s{virtual})'}; "
+             f"{trouble}",
+             "answer after " + ", ".join(f"{number(1e6 * value)} us ({name})" for name, value in (
+                 ("median", latency.median), ("99 %", latency.p99), ("99.9 %", latency.p999),
+                 ("longest", latency.max))) + f"; {number(100.0 * late_share(result))} % of the ticks had no command"]
+    lines += [f"  {line}" for line in result.histogram.lines()]
+    if result.clipped:
+        lines.append(f"the command was cut to {number(result.metadata.entries()['command_limit'])} counts on "
+                     f"{result.clipped} rows: what acted is smaller than what was asked")
+    if result.metadata.entries().get("check") == "forced":
+        lines.append("run without a passed check of this device and rig (--force); the log says so")
+    if result.realtime is not None:
+        lines.append(result.realtime.words())
+    return "\n".join(lines)
+
+
+def duration(result: LoopResult) -> str:
+    """Seconds of device time that a test took."""
+    return number(result.counts.samples / float(result.metadata.entries()["rig"]["sample_rate"]))
+
+
+def late_share(result: LoopResult) -> float:
+    """Share of the recorded ticks that had no command in time."""
+    return result.counts.unanswered / max(result.counts.samples, 1)
+
+
+def need_log(out: Path) -> None:
+    """Refuse a log of another form, or without a folder."""
+    if out.suffix.lower() != ".mcap":
+        raise UsageError(f"--out {out}: a run is logged as .mcap; `station export` makes other forms of it")
+    need_folder(out)
+
+
+def single(port: str, rig: str, out: Path, asked: dict[str, Any], reference: np.ndarray | None = None, *,
+           controller: str | None, gain: float | None, zero: float | None, pole: float | None, overwrite: bool,
+           view: bool, force: bool, realtime: bool, tags: list[str] | None, note_: str | None) -> None:
+    """Run one test from the command line and say how it went."""
+    from station.cli.controllers import controller_spec
+    from station.device.port import open_port
+    from station.rig import load_rig
+
+    need_log(out)
+    model = load_rig(rig)
+    spec = controller_spec(controller or ("open" if asked["kind"] in OPEN else "p"), model.sample_rate, gain=gain,
+                           zero=zero, pole=pole)
+    if spec.get("kind") == "lead_accel" and model.accelerometer is None:
+        raise UsageError(f"--controller: rig {model.name} has no accelerometer")
+    metadata = {"test": asked, **({"tags": sorted(set(tags))} if tags else {}), **({"note": note_} if note_ else {})}
+    before = out.exists()
+    with open_port(port) as line:
+        try:
+            result = perform(line, model, spec, asked, log_sink(out, overwrite, model if view else None), reference,
+                             metadata=metadata, force=force, realtime=realtime)
+        except (KeyboardInterrupt, StationError):
+            if out.exists() and (overwrite or not before):
+                note(f"the rows so far are in {out}")
+            raise
+    say(summary(result, out))
 
 
 def _command_for(kind: str) -> Callable[..., None]:
@@ -105,29 +177,11 @@ def _command_for(kind: str) -> Callable[..., None]:
     words, defaults = KINDS[kind]
 
     def run(port: Port, rig: RigName, out: Log, controller: Controller = None, gain: Gain = None, zero: Zero = None,
-            pole: Pole = None, overwrite: Overwrite = False, view: View = False, **test: Any) -> None:
-        from station.cli.controllers import controller_spec
-        from station.device.port import open_port
-        from station.rig import load_rig
-
-        if out.suffix.lower() != ".mcap":
-            raise UsageError(f"--out {out}: a run is logged as .mcap; `station export` makes other forms of it")
-        need_folder(out)
-        model = load_rig(rig)
-        spec = controller_spec(controller or ("open" if kind in OPEN else "p"), model.sample_rate, gain=gain,
-                               zero=zero, pole=pole)
+            pole: Pole = None, overwrite: Overwrite = False, view: View = False, force: Force = False,
+            realtime: RealTime = False, tag: Tags = None, note: Note = None, **test: Any) -> None:
         asked = {"kind": kind, **{key: value for key, value in test.items() if value is not None}}
-        if spec.get("kind") == "lead_accel" and model.accelerometer is None:
-            raise UsageError(f"--controller: rig {model.name} has no accelerometer")
-        before = out.exists()
-        with open_port(port) as line:
-            try:
-                result = perform(line, model, spec, asked, _sink(out, overwrite, model if view else None))
-            except (KeyboardInterrupt, StationError):
-                if out.exists() and (overwrite or not before):
-                    note(f"motor commanded to zero; the rows so far are in {out}")
-                raise
-        say(summary(result, out))
+        single(port, rig, out, asked, controller=controller, gain=gain, zero=zero, pole=pole, overwrite=overwrite,
+               view=view, force=force, realtime=realtime, tags=tag, note_=note)
 
     hints = {name: hint for name, hint in inspect.get_annotations(run, eval_str=True).items() if name != "test"}
     common = [parameter.replace(annotation=hints[parameter.name])

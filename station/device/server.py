@@ -114,7 +114,7 @@ class _Exchange:
                 self.close()
                 raise WorkError(f"{LOOPBACK}:{tcp_port}: cannot listen ({error.strerror}); "
                                 "choose another port") from None
-            self._listener.listen(4)
+            self._listener.listen(64)
             self._listener.setblocking(False)
             self._ends.register(self._listener, selectors.EVENT_READ)
 
@@ -141,6 +141,8 @@ class _Exchange:
             if end is self._listener:
                 self._accept()
                 continue
+            if end is not self._terminal and end not in self._connections:  # dropped to make room
+                continue
             got = end.read()
             if got is None:
                 self._drop(end)
@@ -157,15 +159,16 @@ class _Exchange:
             self._active.write(data)
 
     def _accept(self) -> None:
-        """Take one more host; where there are MAX_CONNECTIONS the oldest idle one makes room."""
-        try:
-            end = _Connection(self._listener.accept()[0])
-        except OSError:
-            return
-        self._ends.register(end, selectors.EVENT_READ)
-        self._connections.append(end)
-        if len(self._connections) > MAX_CONNECTIONS:
-            self._drop(next(idle for idle in self._connections if idle is not self._active))
+        """Take the hosts that wait; where there are MAX_CONNECTIONS the oldest idle one makes room."""
+        for _ in range(MAX_CONNECTIONS):
+            try:
+                end = _Connection(self._listener.accept()[0])
+            except OSError:
+                return
+            self._ends.register(end, selectors.EVENT_READ)
+            self._connections.append(end)
+            if len(self._connections) > MAX_CONNECTIONS:
+                self._drop(next(idle for idle in self._connections if idle is not self._active))
 
     def _drop(self, end: _Connection) -> None:
         self._ends.unregister(end)
