@@ -17,7 +17,7 @@ def test_the_rigs_limit_is_sent_to_a_device_that_would_allow_more(rows):
 
 
 class Again(Port):
-    """A port that delivers every 40th sample a second time, three samples later."""
+    """A port that delivers every 41st sample a second time, three samples later."""
 
     def __init__(self, url, line):
         super().__init__(url, line)
@@ -27,7 +27,7 @@ class Again(Port):
         data = super().read(size)
         if len(data) == SAMPLE.wire_size:
             self.read_before.append(data)
-            if len(self.read_before) % 40 == 0:
+            if len(self.read_before) % 41 == 0:
                 self.again += 1
                 data += self.read_before[-4]
         return data
@@ -71,4 +71,5 @@ def test_the_drive_is_enabled_in_a_session_alone(make_bench):  # noqa: F811
             request()
         device.tick(0)
         device.advance()
+        bench.heard()
     assert source.told == [False, "begin", True, False]
