@@ -109,6 +109,8 @@ def device(
     speed: Annotated[int, typer.Option("--speed", min=0, max=1, help="1: real time; 0: lockstep.")] = 1,
     noise: Annotated[float, typer.Option("--noise", min=0.0, help="Accelerometer noise, counts, one sigma.")] = 0.0,
     seed: Annotated[int | None, typer.Option("--seed", min=0, help="Repeats the noise.")] = None,
+    board: Annotated[str, typer.Option("--board", help=(
+        "host: the firmware compiled for this machine; mps2_an385: for a Cortex-M3 that QEMU emulates."))] = "host",
 ) -> None:
     """Put a simulated rig at a pseudo-terminal or a loopback socket, for any serial program; Ctrl-C ends it."""
     import os
@@ -129,4 +131,4 @@ def device(
         note(f"{model.name} answers; Ctrl-C ends it")
 
     with suppress(KeyboardInterrupt):
-        serve(model, pty, tcp, ready_callback=ready, options=Options(speed=speed, noise=noise, seed=seed))
+        serve(model, pty, tcp, ready_callback=ready, options=Options(speed=speed, noise=noise, seed=seed), board=board)

@@ -106,9 +106,14 @@ class Core:
         self._lib.station_tick(self._core, given, self._output)
         return self._output.drive
 
-    def transmit(self) -> bytes:
-        """Bytes for the line, taken away."""
-        return self._buffer[:self._lib.station_transmit(self._core, self._bytes, self._size)]
+    def transmit(self, most: int | None = None) -> bytes:
+        """Bytes for the line, ``most`` at most, taken away."""
+        return self._buffer[:self._lib.station_transmit(self._core, self._bytes, self._size if most is None else most)]
+
+    @property
+    def waiting(self) -> int:
+        """Bytes that wait for the line."""
+        return self._core.transmit
 
     @property
     def state(self) -> State:
@@ -130,6 +135,11 @@ class Core:
     def drive(self) -> int:
         """The drive applied now, counts."""
         return self._core.drive
+
+    @property
+    def command_limit(self) -> int:
+        """The limit in force, counts."""
+        return self._core.config.command_limit
 
     @property
     def enabled(self) -> bool:

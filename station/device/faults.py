@@ -38,6 +38,11 @@ class Faults:
         """Whether frames are touched at all."""
         return any((self.drop, self.flip, self.duplicate, self.late, self.reorder))
 
+    @property
+    def any(self) -> bool:
+        """Whether there is a fault at all."""
+        return self.on_frames or self.silent_after is not None or self.unplug_after is not None
+
 
 class FaultyLine:
     """Passes bytes on, frame by frame, with faults; ``counts[message, kind]`` is what was put in."""

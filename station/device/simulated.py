@@ -131,6 +131,13 @@ class Options:
     faults: Faults = field(default_factory=Faults)
 
 
+def rig_source(rig: Rig, options: Options) -> tuple[PlantSource, float, int]:
+    """The plant behind a device, the true sample period (s), and the number of this power-up."""
+    boot = random.getrandbits(32) if options.seed is None else zlib.crc32(f"{options} {rig.to_toml()}".encode())
+    scale = next((effect.ratio for effect in rig.effects if effect.name == "clock_scale"), 1.0)
+    return PlantSource(rig, options.angle, options.accel_offset, options.noise, boot), rig.period * scale, boot
+
+
 class SimulatedDevice:
     """The firmware core with a source of samples behind it.  Who owns it gives it bytes and calls its ticks."""
 
@@ -154,11 +161,8 @@ class SimulatedDevice:
     def of_rig(cls, rig: Rig, options: Options | None = None) -> SimulatedDevice:
         """The rig as a device, its limits compiled in; UsageError where limit or rate cannot be a device's."""
         options = options or Options()
-        boot = (random.getrandbits(32) if options.seed is None
-                else zlib.crc32(f"{options} {rig.to_toml()}".encode()))
-        source = PlantSource(rig, options.angle, options.accel_offset, options.noise, boot)
-        scale = next((effect.ratio for effect in rig.effects if effect.name == "clock_scale"), 1.0)
-        return cls(rig.name, source, rig.sample_rate, rig.command_limit, options, boot, rig.period * scale,
+        source, true_period, boot = rig_source(rig, options)
+        return cls(rig.name, source, rig.sample_rate, rig.command_limit, options, boot, true_period,
                    DeviceLimits.of_rig(rig))
 
     @property
