@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from station.cli.options import Overwrite, Port, RigName, command, need_folder
+from station.cli.options import Overwrite, Port, RigName, RunFile, command, need_folder
 from station.cli.terminal import note, number, progress, say
 from station.errors import StationError, UsageError
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from station.loop.sink import LogSink
     from station.rig import Rig
     from station.runs.run import RunMetadata
+    from station.view.live import LiveView
 
 app = typer.Typer()
 group = typer.Typer(no_args_is_help=False)
@@ -42,6 +43,9 @@ KINDS: dict[str, tuple[str, dict[str, Any]]] = {
                                                          "duration": 10.2, "rest": 0.2, "seed": 0}),
     "prbs": ("A binary sequence that holds all frequencies.", {"amplitude": 50.0, "hold": 0.02, "bits": 9,
                                                                "duration": 10.2, "rest": 0.2}),
+    "chirp_burst": ("Bursts of a sine whose frequency rises, each left to ring out.", {
+        "amplitude": 50.0, "f0": 0.5, "f1": 25.0, "length": 2.0, "pause": 1.0, "bursts": 3, "duration": 9.2,
+        "rest": 0.2}),
 }
 """Words and defaults of each kind, as in ``station.control.references`` (a test holds the two together)."""
 WORDS = {
@@ -50,6 +54,7 @@ WORDS = {
     "second": "Where the second pulse begins, s.", "spacing": "From one pulse to the next, s.",
     "pulses": "How many pulses.", "period": "Period, s.", "f0": "First frequency, Hz.", "f1": "Last frequency, Hz.",
     "tones": "How many sines.", "seed": "Chooses the phases.", "hold": "Shortest time between switches, s.",
+    "length": "Length of a burst, s.", "pause": "Rest after each burst, s.", "bursts": "How many bursts.",
     "bits": "Length of the sequence: 2^bits - 1.",
 }
 SWEEP_SPACING = "How the frequency rises: linear or log."
@@ -85,24 +90,33 @@ def perform(line: SerialPort, rig: Rig, controller: dict[str, Any], test: dict[s
     if reference is None:
         reference = reference_from_test(test, rig.sample_rate)
     abort = threading.Event()
-    with abort_key(abort.set) as heard, progress(f"{test['kind']} on {line.url}{f'; {KEYS}' if heard else ''}") as update:
+    what = f"{test['kind']} on {line.url}"
+    with abort_key(abort.set) as heard, progress(f"{what}; {KEYS}" if heard else what) as update:
         return run_test(line, rig, compensator, reference, log_sink=sink, abort=abort,
                         progress=lambda row, rows: update(row / rows), **{"metadata": {"test": test}, **settings})
 
 
-def log_sink(out: Path, overwrite: bool = False, shown: Rig | None = None) -> Callable[[RunMetadata], LogSink]:
-    """Makes the log at ``out``, with a live view beside it where a rig is to be shown."""
+def log_sink(out: Path, overwrite: bool = False, shown: Callable[[], LiveView] | None = None,
+             ) -> Callable[[RunMetadata], LogSink]:
+    """Makes the log at ``out``, with a live view beside it where one is to be shown."""
     from station.runs import McapLogWriter
 
     def make(metadata: RunMetadata) -> LogSink:
         log = McapLogWriter(out, metadata, overwrite=overwrite)
         if shown is None:
             return log
-        from station.view.live import LiveView, LogAndView
+        from station.view.live import LogAndView
 
-        return LogAndView(log, LiveView(shown))
+        return LogAndView(log, shown())
 
     return make
+
+
+def live_view(rig: Rig) -> Callable[[], LiveView]:
+    """Makes live views that share one viewer, started at the first."""
+    from station.view.live import shared_view
+
+    return shared_view(rig)
 
 
 def summary(result: LoopResult, out: Path) -> str:
@@ -161,10 +175,11 @@ def single(port: str, rig: str, out: Path, asked: dict[str, Any], reference: np.
         raise UsageError(f"--controller: rig {model.name} has no accelerometer")
     metadata = {"test": asked, **({"tags": sorted(set(tags))} if tags else {}), **({"note": note_} if note_ else {})}
     before = out.exists()
+    sink = log_sink(out, overwrite, live_view(model) if view else None)
     with open_port(port) as line:
         try:
-            result = perform(line, model, spec, asked, log_sink(out, overwrite, model if view else None), reference,
-                             metadata=metadata, force=force, realtime=realtime)
+            result = perform(line, model, spec, asked, sink, reference, metadata=metadata, force=force,
+                             realtime=realtime)
         except (KeyboardInterrupt, StationError):
             if out.exists() and (overwrite or not before):
                 note(f"the rows so far are in {out}")
@@ -203,9 +218,47 @@ for _kind in KINDS:
         _command_for(_kind))
 
 
-@group.callback()
-def _run() -> None:
-    """Run one test on a device and log it; the motor is commanded to zero on every way out."""
+@command(group, "recorded", "Tests", "station run recorded step.mcap --port sim://sflr --rig sflr --out again.mcap")
+def recorded(
+    run: RunFile, port: Port, rig: RigName, out: Log, controller: Controller = None, gain: Gain = None,
+    zero: Zero = None, pole: Pole = None, overwrite: Overwrite = False, view: View = False, force: Force = False,
+    realtime: RealTime = False, tag: Tags = None, note: Note = None,
+) -> None:
+    """The reference of a logged run once more; under --controller open its commands."""
+    from station.loop.plan import recorded_reference
+    from station.rig import load_rig
+
+    need_log(out)
+    reference, asked = recorded_reference(run, load_rig(rig).sample_rate, controller == "open")
+    single(port, rig, out, asked, reference, controller=controller, gain=gain, zero=zero, pole=pole,
+           overwrite=overwrite, view=view, force=force, realtime=realtime, tags=tag, note_=note)
+
+
+@group.callback(invoke_without_command=True)
+def _run(
+    context: typer.Context,
+    plan: Annotated[Path | None, typer.Option("--plan", metavar="FILE", help=(
+        "Run the tests of a plan (TOML), in place of one KIND; the same command goes on where it stopped."))] = None,
+    port: Annotated[str | None, typer.Option("--port", metavar="PORT", help="With --plan: as for a KIND.")] = None,
+    rig: Annotated[str | None, typer.Option("--rig", metavar="RIG", help="With --plan: as for a KIND.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", metavar="FOLDER", help=(
+        "With --plan: folder of the runs."))] = None,
+    force: Force = False, realtime: RealTime = False, view: View = False,
+) -> None:
+    """Run one test on a device and log it, or a plan of tests; the motor is commanded to zero on every way out."""
+    if context.invoked_subcommand is not None:
+        if plan or port or rig or out:
+            raise UsageError(f"options of a test stand behind its kind: station run {context.invoked_subcommand} ...")
+        return
+    if plan is None:
+        raise UsageError("which test? station run KIND ..., or station run --plan FILE; station run --help lists them")
+    for name, value in (("--port", port), ("--rig", rig), ("--out", out)):
+        if value is None:
+            raise UsageError(f"{name}: missing; a plan wants --port, --rig and --out")
+    from station.cli.plan import run_plan
+    from station.rig import load_rig
+
+    run_plan(plan, port, load_rig(rig), out, force=force, realtime=realtime, view=view)
 
 
 app.add_typer(group, name="run", rich_help_panel=PANEL, epilog=(

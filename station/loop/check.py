@@ -7,16 +7,17 @@ tells a motor, an encoder or an accelerometer that is the wrong way round, and a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from station.control.references import pulse
-from station.device.client import Client
+from station.device.client import Client, Identity
 from station.device.limits import DeviceLimits
 from station.device.port import Port
 from station.device.simulated import PlantSource
 from station.errors import UsageError
+from station.loop import checked
 from station.loop.display import watched
 from station.loop.engine import Counts, Session, Setup
 from station.loop.run_test import connect, measure_rest
@@ -92,8 +93,19 @@ def check(port: Port, rig: Rig, amplitude: float = 20.0, progress: Callable[[int
     in_force = np.zeros(len(commands))
     in_force[index] = applied
     expected_encoder, expected_accel = _expected(rig, in_force)
-    return _judge(rig, encoder - rest.encoder, accel - rest.accel_zero, rest.accel_sigma,
-                  expected_encoder[index], expected_accel[index], counts)
+    found = _judge(rig, encoder - rest.encoder, accel - rest.accel_zero, rest.accel_sigma,
+                   expected_encoder[index], expected_accel[index], counts)
+    return found if checked.is_simulated(port.url, identity) else _noted(found, identity, rig)
+
+
+def _noted(found: CheckResult, identity: Identity, rig: Rig) -> CheckResult:
+    """Remember what closed loops will ask for, or take it back."""
+    try:
+        (checked.remember if found.passed else checked.forget)(identity, rig)
+    except OSError as error:
+        words = f"the outcome could not be noted ({error.strerror}: {checked.store()}): closed loops will want --force"
+        return replace(found, words=(*found.words, words))
+    return found
 
 
 def _judge(rig: Rig, encoder: np.ndarray, accel: np.ndarray, sigma: float, expected_encoder: np.ndarray,

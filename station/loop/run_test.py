@@ -109,6 +109,15 @@ def connect(client: Client, rig: Rig) -> Identity:
     return identity
 
 
+def rest_position(port: Port, rig: Rig, settle: float = 0.0) -> tuple[str, int]:
+    """Let ``settle`` seconds pass and the arm come to rest; the encoder's zero by name, and its reading (counts)."""
+    client = Client(port)
+    identity = connect(client, rig)
+    if settle:
+        client.wait(settle)
+    return identity.zero_id, client.wait_for_rest(SETTLE_SECONDS)
+
+
 def measure_rest(client: Client, rig: Rig, identity: Identity, seconds: float = REST_SECONDS) -> Rest:
     """Wait for rest, then read the sensors with a motor that the device's own limit keeps at zero."""
     client.wait_for_rest(SETTLE_SECONDS)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -56,6 +56,7 @@ class LiveView:
             port = free_port()
             self.viewer = start(["--hide-welcome-screen"], port)
             url = f"rerun+http://{LOOPBACK}:{port}/proxy"
+        self.url = url
         self._thread = threading.Thread(target=self._work, args=(url,), name="station-live-view", daemon=True)
         self._thread.start()
 
@@ -125,6 +126,18 @@ class LiveView:
         points = arm.drawn_points(angle, np.zeros((1, 2)), length, 1.0)
         recording.set_time(TIMELINE, duration=float(columns["t"][-1]))
         recording.log("arm", rr.LineStrips3D(points.astype(np.float32), radii=0.005))
+
+
+def shared_view(rig: Rig) -> Callable[[], LiveView]:
+    """Makes live views, one for each test, of which the first starts the viewer and the others join it."""
+    urls: list[str] = []
+
+    def make() -> LiveView:
+        view = LiveView(rig, url=urls[0] if urls else None)
+        urls[:] = [view.url]
+        return view
+
+    return make
 
 
 class LogAndView:
