@@ -9,6 +9,10 @@
 
 #include "core.h"
 
+#ifndef STATION_BUILD
+#define STATION_BUILD 0u /* the build number that the device tells; -DSTATION_BUILD=0x... from the build */
+#endif
+
 /* ---- what a board implements ---- */
 
 /* Once, after reset: the drive's enable pin inactive and its PWM at zero first of all, then clocks, sensors, line and

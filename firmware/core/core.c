@@ -12,7 +12,6 @@ enum { WIRE_MARGIN = 4 /* CRC, COBS, delimiter */, BODY_MAX = STATION_FRAME_BYTE
 static void motor_off(station_core *core)
 {
     core->drive = 0;
-    core->session = 0;
     memset(core->slot_full, 0, sizeof core->slot_full);
 }
 
@@ -392,21 +391,17 @@ void station_receive(station_core *core, const uint8_t *bytes, uint16_t length)
 {
     for (uint16_t i = 0; i < length; i++) {
         if (bytes[i] != 0) {
-            if (core->received < STATION_FRAME_BYTES) {
+            if (core->received < STATION_FRAME_BYTES) { /* a frame cut off here is longer than any, and no message */
                 core->receive_bytes[core->received++] = bytes[i];
-            } else {
-                core->overlong = 1;
             }
             continue;
         }
         const uint16_t received = core->received;
-        const uint8_t overlong = core->overlong;
         core->received = 0;
-        core->overlong = 0;
         if (received == 0) {
             continue;
         }
-        if (!overlong && check(core, received)) {
+        if (check(core, received)) {
             on_body(core, core->receive_bytes);
         } else {
             (void)happen(core, STATION_EVENT_CORRUPT);

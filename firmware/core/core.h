@@ -84,7 +84,7 @@ typedef struct {
     uint8_t past_at;
     uint8_t past_known;
     uint16_t zeroings;
-    uint16_t session;     /* 0: none */
+    uint16_t session;     /* of the run that is on, or was */
     uint16_t next_index;  /* of the coming tick */
     uint16_t first_ticks; /* ticks to come that cannot have a command yet */
     uint16_t silent;      /* ticks in a row without a command */
@@ -102,7 +102,6 @@ typedef struct {
     int16_t slot_command[STATION_SLOTS];
     uint16_t received;
     uint16_t transmit;
-    uint8_t overlong;
     uint8_t receive_bytes[STATION_FRAME_BYTES];
     uint8_t transmit_bytes[STATION_TRANSMIT_BYTES];
 } station_core;

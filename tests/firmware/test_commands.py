@@ -301,7 +301,8 @@ def test_a_line_that_takes_a_few_bytes_at_a_time_gets_them_all_in_order(bench):
     assert bench.core.transmit() == b""
 
 
-def test_a_motion_seen_by_the_encoder_ends_a_stall_and_a_small_command_is_none(bench):
+@pytest.mark.parametrize("command", [51, -51])
+def test_a_motion_seen_by_the_encoder_ends_a_stall_and_a_small_command_is_none(bench, command):
     bench.start(stall_command=50, stall_time=20)  # 10 ticks
     bench.tick()
     for i in range(1, 60):
@@ -314,7 +315,7 @@ def test_a_motion_seen_by_the_encoder_ends_a_stall_and_a_small_command_is_none(b
     assert bench.core.running
     for i in range(90, 102):
         assert bench.core.running
-        bench.command(i, -51)
+        bench.command(i, command)
         bench.tick(encoder=14 + i % 2)
     assert bench.statistics().fault == Fault.STALLED
 
@@ -348,3 +349,13 @@ def test_the_enable_pin_is_active_in_a_session_alone(bench):
     for _ in range(12):
         bench.tick()
     assert bench.core.state == State.FAULT and not bench.core.enabled
+
+
+def test_a_command_ends_the_silence(bench):
+    bench.start(hold_ticks=1, fault_ticks=3)
+    bench.tick()
+    for i in range(1, 40):
+        if i % 2:
+            bench.command(i, 70)
+        assert bench.tick()[0] == 70
+    assert bench.statistics().held == 19

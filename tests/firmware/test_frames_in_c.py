@@ -112,3 +112,18 @@ def test_a_frame_longer_than_any_is_one_corrupt_frame(bench, length):
     bench.core.receive(b"\1" * length + b"\0")
     assert bench.statistics().corrupt == 1
     assert bench.identify().state == State.IDLE
+
+
+@pytest.mark.parametrize("length", [127, 128, 129, 300])
+def test_a_frame_longer_than_any_leaves_what_waits_for_the_line_alone(bench, length):
+    bench.core.receive(encode(MESSAGES["query"].pack()) + b"\7" * length + b"\0")
+    assert [name for name, _ in bench.heard()] == ["statistics"]
+
+
+@pytest.mark.parametrize("length", range(1, 20))
+def test_a_count_beyond_the_frames_end_is_refused(length):
+    ffi, lib = library()
+    for beyond in (1, 2, 3):
+        raw = ffi.new("uint8_t[]", bytes([length + beyond] + [1] * (length - 1) + [1, 1, 1, 1]))
+        assert lib.station_unstuff(raw, length) == 0
+    assert lib.station_unstuff(ffi.new("uint8_t[]", bytes([length] + [1] * (length - 1))), length) == length - 1

@@ -15,6 +15,7 @@
    Registers: Arm DAI 0385D (memory map, interrupts), Arm DDI 0479C (CMSDK timers, UART, watchdog). */
 
 #include "board.h"
+#include "ring.h"
 
 #define REGISTER(address) (*(volatile uint32_t *)(uintptr_t)(address))
 
@@ -63,14 +64,8 @@ enum {
     TX_ON = 1, RX_ON = 2, TX_INTERRUPT = 4, RX_INTERRUPT = 8, /* of a UART's control */
     FULL = 1,                                                 /* of its state */
     ENABLED = 1, RUNNING = 2, BEGINNING = 4, ANSWERED = 8,    /* flags to the plant */
-    RING = 512,
     TICK_BYTES = 8
 };
-
-typedef struct {
-    volatile uint16_t in, out;
-    uint8_t bytes[RING];
-} ring;
 
 static ring host_in, host_out, plant_out;
 static volatile uint32_t interrupts, interrupts_seen;
@@ -90,30 +85,13 @@ static struct {
 
 /* ---- rings and UARTs ---- */
 
-static uint16_t used(const ring *r) { return (uint16_t)((r->in - r->out) & (RING - 1)); }
-
-static void put(ring *r, uint8_t byte)
-{
-    if (used(r) < RING - 1) {
-        r->bytes[r->in] = byte;
-        r->in = (uint16_t)((r->in + 1) & (RING - 1));
-    }
-}
-
-static uint8_t take(ring *r)
-{
-    const uint8_t byte = r->bytes[r->out];
-    r->out = (uint16_t)((r->out + 1) & (RING - 1));
-    return byte;
-}
-
 /* Sends what has room; called with interrupts off or from the line's interrupt. */
 static void drain(volatile uart *u, ring *r)
 {
-    while (used(r) > 0 && !(u->state & FULL)) {
-        u->data = take(r);
+    while (ring_used(r) > 0 && !(u->state & FULL)) {
+        u->data = ring_take(r);
     }
-    u->control = TX_ON | RX_ON | RX_INTERRUPT | (used(r) > 0 ? (uint32_t)TX_INTERRUPT : 0u);
+    u->control = TX_ON | RX_ON | RX_INTERRUPT | (ring_used(r) > 0 ? (uint32_t)TX_INTERRUPT : 0u);
 }
 
 static uint32_t lock(void)
@@ -146,10 +124,10 @@ static uint8_t flags_now(void)
 static void tell(uint8_t letter, uint16_t value, uint8_t flags)
 {
     const uint32_t before = lock();
-    put(&plant_out, letter);
-    put(&plant_out, (uint8_t)(value & 0xff));
-    put(&plant_out, (uint8_t)(value >> 8));
-    put(&plant_out, flags);
+    ring_put(&plant_out, letter);
+    ring_put(&plant_out, (uint8_t)(value & 0xff));
+    ring_put(&plant_out, (uint8_t)(value >> 8));
+    ring_put(&plant_out, flags);
     drain(UART(1), &plant_out);
     unlock(before);
 }
@@ -191,7 +169,7 @@ static void line_host(void)
     interrupts++;
     UART(0)->status = 3;
     while (UART(0)->state & 2) {
-        put(&host_in, (uint8_t)UART(0)->data);
+        ring_put(&host_in, (uint8_t)UART(0)->data);
     }
     drain(UART(0), &host_out);
 }
@@ -358,19 +336,19 @@ uint16_t board_receive(uint8_t *bytes, uint16_t room)
     while (stuck) {
     }
     interrupts_seen = interrupts;
-    while (count < room && used(&host_in) > 0) {
-        bytes[count++] = take(&host_in);
+    while (count < room && ring_used(&host_in) > 0) {
+        bytes[count++] = ring_take(&host_in);
     }
     return count;
 }
 
-uint16_t board_room(void) { return (uint16_t)(RING - 1 - used(&host_out)); }
+uint16_t board_room(void) { return ring_room(&host_out); }
 
 void board_send(const uint8_t *bytes, uint16_t count)
 {
     const uint32_t before = lock();
     for (uint16_t i = 0; i < count; i++) {
-        put(&host_out, bytes[i]);
+        ring_put(&host_out, bytes[i]);
     }
     drain(UART(0), &host_out);
     unlock(before);
@@ -396,10 +374,10 @@ void start(void);
 void start(void)
 {
     const uint32_t *from = &data_load;
-    for (uint32_t *to = &data_begin; to < &data_end; to++) {
+    for (uint32_t *to = &data_begin; to != &data_end; to++) {
         *to = *from++;
     }
-    for (uint32_t *to = &bss_begin; to < &bss_end; to++) {
+    for (uint32_t *to = &bss_begin; to != &bss_end; to++) {
         *to = 0;
     }
     (void)main();
