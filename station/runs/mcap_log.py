@@ -12,18 +12,18 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO
 
-from mcap.well_known import MessageEncoding, SchemaEncoding
-from mcap.writer import LIBRARY_IDENTIFIER, Writer
+import numpy as np
+from mcap.writer import LIBRARY_IDENTIFIER
 
 from station.errors import WorkError
 from station.runs.blueprint import blueprint_path, write_blueprint
 from station.runs.columns import LOG_COLUMNS, name_fault
 from station.runs.files import check_output, new_file, reason
+from station.runs.mcap_chunks import ChunkWriter, RowLayout, Stream
 from station.runs.run import Run, RunMetadata
 from station.runs.schema import (
     METADATA,
@@ -31,54 +31,60 @@ from station.runs.schema import (
     SAMPLE,
     message_class,
     metadata_schema,
+    sample_fields,
     sample_schema,
 )
 
 FLUSH_SECONDS = 0.05
 SYNC_SECONDS = 1.0
 CAPACITY = 65536
+BLOCK_ROWS = 4096
+"""Most rows of one chunk."""
 
 
 class _Encoder:
     """Rows and metadata into MCAP records on a stream."""
 
-    def __init__(self, stream: BinaryIO, metadata: RunMetadata, columns: Sequence[str]) -> None:
-        self.writer = Writer(stream)
+    def __init__(self, stream: Stream, metadata: RunMetadata, columns: Sequence[str]) -> None:
         self.columns = tuple(columns)
-        self.time_index = self.columns.index("t")
-        schema = sample_schema(self.columns)
-        self.sample = message_class(SAMPLE, schema)
-        self.metadata = message_class(METADATA, metadata_schema())
         self.rows = 0
-        self.now = 0
-        self.writer.start(library=f"station {LIBRARY_IDENTIFIER}")
+        self._now = 0
+        self._metadata = message_class(METADATA, metadata_schema())
+        self._writer = ChunkWriter(stream, f"station {LIBRARY_IDENTIFIER}")
         self._record(metadata)
-        ids = [self.writer.register_schema(name, SchemaEncoding.Protobuf, data)
-               for name, data in ((SAMPLE, schema), (METADATA, metadata_schema()))]
-        self.sample_channel = self.writer.register_channel("/sample", MessageEncoding.Protobuf, ids[0])
-        self.metadata_channel = self.writer.register_channel("/metadata", MessageEncoding.Protobuf, ids[1])
+        self._sample_channel = self._writer.register("/sample", SAMPLE, sample_schema(self.columns))
+        self._metadata_channel = self._writer.register("/metadata", METADATA, metadata_schema())
+        self._layout = RowLayout(self._sample_channel, sample_fields(self.columns))
         self._message(metadata)
-        self.writer.flush()
 
     def _record(self, metadata: RunMetadata) -> None:
-        self.writer.add_metadata(METADATA_RECORD, {"json": metadata.to_json()})
+        self._writer.add_metadata(METADATA_RECORD, {"json": metadata.to_json()})
 
     def _message(self, metadata: RunMetadata) -> None:
-        data = self.metadata(json=metadata.to_json()).SerializeToString()
-        self.writer.add_message(self.metadata_channel, self.now, data, self.now)
+        data = self._metadata(json=metadata.to_json()).SerializeToString()
+        self._writer.message(self._metadata_channel, data, self._now)
 
-    def row(self, row: Sequence[float]) -> None:
-        data = self.sample(**dict(zip(self.columns, row, strict=True))).SerializeToString()
-        self.now = max(round(row[self.time_index] * 1e9), 0)
-        self.writer.add_message(self.sample_channel, self.now, data, self.now, self.rows & 0xFFFFFFFF)
-        self.rows += 1
+    def block(self, columns: Mapping[str, np.ndarray]) -> None:
+        """One chunk of rows."""
+        times = np.maximum(np.rint(columns["t"] * 1e9), 0.0).astype(np.int64)
+        records = self._layout.lay(columns, times, self.rows)
+        self._writer.chunk(self._sample_channel, records.tobytes(), times,
+                           records.itemsize * np.arange(len(times), dtype=np.int64))
+        self.rows += len(times)
+        self._now = int(times[-1])
+
+    def rows_of(self, rows: Sequence[Sequence[float]]) -> None:
+        """One chunk of rows in the order of ``columns``; ValueError where one has another length."""
+        values = np.array(rows, dtype=np.float64)
+        if values.ndim != 2 or values.shape[1] != len(self.columns):
+            raise ValueError(f"a row of {len(self.columns)} values is wanted")
+        self.block(dict(zip(self.columns, values.T, strict=True)))
 
     def finish(self, changed: RunMetadata | None) -> None:
         if changed is not None:
             self._message(changed)
-            self.writer.flush()
             self._record(changed)
-        self.writer.finish()
+        self._writer.finish()
 
 
 class _Pieces:
@@ -223,14 +229,14 @@ class McapLogWriter:
 
     def _drain(self) -> None:
         queue = self._queue
-        rows = len(queue)
-        for _ in range(rows):
-            self._taken += 1
-            self._encoder.row(queue.popleft())
-        if rows:
-            self._encoder.writer.flush()
+        waiting = len(queue)
+        while waiting:
+            rows = [queue.popleft() for _ in range(min(waiting, BLOCK_ROWS))]
+            waiting -= len(rows)
+            self._taken += len(rows)
+            self._encoder.rows_of(rows)
             self._file.commit()
-            self.rows_written += rows
+            self.rows_written += len(rows)
             self._drained.set()
 
     def close(self, metadata: RunMetadata | None = None) -> None:
@@ -279,8 +285,8 @@ def write_mcap(run: Run, path: str | os.PathLike[str], overwrite: bool = False, 
     columns = run.columns()
     with new_file(path, overwrite) as part, part.open("wb") as file:
         encoder = _Encoder(file, run.metadata, tuple(columns))
-        for row in zip(*(values.tolist() for values in columns.values()), strict=True):
-            encoder.row(row)
+        for start in range(0, len(run), BLOCK_ROWS):
+            encoder.block({name: values[start:start + BLOCK_ROWS] for name, values in columns.items()})
         encoder.finish(None)
     if blueprint:
         write_blueprint(blueprint_path(path), tuple(columns))
