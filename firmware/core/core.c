@@ -5,8 +5,6 @@
 #include "frame.h"
 #include "states.h"
 
-enum { WIRE_MARGIN = 4 /* CRC, COBS, delimiter */, BODY_MAX = STATION_FRAME_BYTES - WIRE_MARGIN };
-
 /* ---- states ---- */
 
 static void motor_off(station_core *core)
@@ -40,7 +38,7 @@ static uint8_t happen(station_core *core, uint8_t event)
 /* Whether there was room. */
 static uint8_t send(station_core *core, const uint8_t *body, uint16_t length, uint16_t session)
 {
-    if (core->transmit + length + WIRE_MARGIN > STATION_TRANSMIT_BYTES) {
+    if (core->transmit + length + STATION_FRAME_MARGIN > STATION_TRANSMIT_BYTES) {
         core->counts[STATION_COUNT_UNSENT_FRAMES]++;
         return 0;
     }
@@ -171,8 +169,8 @@ static uint32_t line_time(uint32_t bytes, uint32_t baud_rate)
 static uint8_t carries(const station_board *board, const station_configure *wanted)
 {
     const uint32_t period = 1000000000u / wanted->rate;
-    const uint32_t sample = line_time(STATION_BODY_SAMPLE + WIRE_MARGIN, board->baud_rate);
-    const uint32_t command = line_time(STATION_BODY_COMMAND + WIRE_MARGIN, board->baud_rate);
+    const uint32_t sample = line_time(STATION_BODY_SAMPLE + STATION_FRAME_MARGIN, board->baud_rate);
+    const uint32_t command = line_time(STATION_BODY_COMMAND + STATION_FRAME_MARGIN, board->baud_rate);
     return sample <= period && command <= period
            && sample + command + board->allowance <= wanted->answer_ticks * period;
 }
@@ -376,15 +374,12 @@ static void on_body(station_core *core, const uint8_t *body)
 static uint8_t check(station_core *core, uint16_t received)
 {
     uint8_t *bytes = core->receive_bytes;
-    const uint16_t length = station_unstuff(bytes, received);
-    if (length < 3 || station_body_size(bytes[0]) + 2 != length) {
+    const uint8_t code = received > 1 ? bytes[1] : 0;
+    if (code == STATION_CODE_COMMAND && station_cells[core->state][STATION_EVENT_COMMAND].next == STATION_FOREIGN) {
         return 0;
     }
-    if (bytes[0] == STATION_CODE_COMMAND && station_cells[core->state][STATION_EVENT_COMMAND].next == STATION_FOREIGN) {
-        return 0;
-    }
-    const uint16_t session = bytes[0] == STATION_CODE_COMMAND ? core->session : 0;
-    return station_crc((uint16_t)(STATION_CRC_START ^ session), bytes, length) == 0 ? bytes[0] : 0;
+    const uint16_t length = station_decode(bytes, received, code == STATION_CODE_COMMAND ? core->session : 0);
+    return length > 0 && station_body_size(bytes[0]) == length ? bytes[0] : 0;
 }
 
 void station_receive(station_core *core, const uint8_t *bytes, uint16_t length)

@@ -62,13 +62,10 @@ static uint8_t receive(uint16_t session, int wait)
                 frame[filled < sizeof frame - 1 ? filled++ : filled] = byte;
                 continue;
             }
-            const uint16_t length = station_unstuff(frame, filled);
+            const uint16_t mixed = filled > 1 && frame[1] == STATION_CODE_SAMPLE ? session : 0;
+            const uint16_t length = station_decode(frame, filled, mixed);
             filled = 0;
-            if (length < 3 || station_body_size(frame[0]) + 2 != length) {
-                continue;
-            }
-            const uint16_t mixed = frame[0] == STATION_CODE_SAMPLE ? session : 0;
-            if (station_crc((uint16_t)(STATION_CRC_START ^ mixed), frame, length) == 0) {
+            if (length > 0 && station_body_size(frame[0]) == length) {
                 return frame[0];
             }
         }

@@ -12,8 +12,6 @@ import random
 from collections import Counter
 from dataclasses import dataclass
 
-from cobs import cobs
-
 from station.device.protocol import MESSAGE_OF_CODE
 
 _NEVER = {"late": "sample", "reorder": "command"}
@@ -63,8 +61,8 @@ class FaultyLine:
 
     def _touch(self, frame: bytes) -> bytes:
         try:
-            name = MESSAGE_OF_CODE[cobs.decode(frame[:-1])[0]].name
-        except (cobs.DecodeError, IndexError, KeyError):
+            name = MESSAGE_OF_CODE[frame[1]].name
+        except (IndexError, KeyError):
             return frame
         if name not in self.faults.on or name not in ("sample", "command"):
             return frame

@@ -216,7 +216,7 @@ def test_a_line_that_nobody_reads_costs_samples_and_counts_them(bench):
         bench.core.receive(encode(MESSAGES["command"].pack(index=i + 1, command=10), bench.session))
     received = len(bench.heard())
     statistics = bench.statistics()
-    assert received == 256 // 21
+    assert received == 256 // 22
     assert statistics.samples == received
     assert statistics.unsent_samples == statistics.unsent_frames == 20 - received
 
@@ -271,32 +271,32 @@ def test_an_answer_that_is_always_one_tick_behind_ends_in_fault(bench):
 
 
 def test_the_transmit_buffer_is_used_to_its_last_byte_and_not_beyond(bench):
-    bench.start()
-    for _ in range(2):
-        bench.core.tick(0, 0, 0)
-        bench.core.receive(encode(MESSAGES["query"].pack()) * 1)
-    bench.core.receive(encode(MESSAGES["arm"].pack(challenge=0)) * 4)
-    assert bench.core.waiting == 2 * 21 + 2 * 77 + 4 * 15 == 256
-    assert bench.core.receive(encode(MESSAGES["arm"].pack(challenge=0))) is None
-    assert bench.core.waiting == 256
-    assert len(bench.heard()) == 8
-    assert bench.statistics().unsent_frames == 1
-
-
-def test_a_frame_that_would_only_fit_without_its_crc_is_refused(bench):
+    arm = encode(MESSAGES["arm"].pack(challenge=0))
     bench.start()
     for _ in range(3):
         bench.core.tick(0, 0, 0)
-    bench.core.receive(encode(MESSAGES["arm"].pack(challenge=0)) * 13)
-    assert bench.core.waiting == 3 * 21 + 12 * 15 == 243
-    assert len(bench.heard()) == 15
+    bench.core.receive(encode(MESSAGES["query"].pack()) + arm * 7)
+    assert bench.core.waiting == 3 * 22 + 78 + 7 * 16 == 256
+    bench.core.receive(arm)
+    assert bench.core.waiting == 256
+    assert len(bench.heard()) == 11
+    assert bench.statistics().unsent_frames == 1
+
+
+def test_a_frame_that_would_only_fit_without_its_check_is_refused(bench):
+    bench.start()
+    for _ in range(3):
+        bench.core.tick(0, 0, 0)
+    bench.core.receive(encode(MESSAGES["arm"].pack(challenge=0)) * 12)
+    assert bench.core.waiting == 3 * 22 + 11 * 16 == 242
+    assert len(bench.heard()) == 14
 
 
 def test_a_line_that_takes_a_few_bytes_at_a_time_gets_them_all_in_order(bench):
     bench.start()
     for _ in range(3):
         bench.core.tick(0, 0, 0)
-    data = b"".join(bench.core.transmit(5) for _ in range(13))
+    data = b"".join(bench.core.transmit(5) for _ in range(14))
     assert [body[0] for body in bench.decoder.feed(data)] == [MESSAGES["sample"].code] * 3
     assert bench.core.transmit() == b""
 

@@ -27,12 +27,16 @@ def test_the_crc_is_that_of_the_standard_library(data, start):
     assert lib.station_crc(start, data, len(data)) == crc_hqx(data, start)
 
 
-@given(body=st.binary(min_size=1, max_size=124), session=st.integers(0, 0xFFFF))
+@given(body=st.binary(min_size=1, max_size=123), session=st.integers(0, 0xFFFF))
 def test_both_sides_write_the_same_frame(body, session):
     ffi, lib = library()
     wire = ffi.new("uint8_t[]", 256)
     length = lib.station_encode(body, len(body), session, wire)
     assert bytes(ffi.buffer(wire, length)) == encode(body, session)
+    assert lib.station_decode(wire, length - 1, session ^ 1) == 0
+    wire[0:length] = encode(body, session)
+    assert lib.station_decode(wire, length - 1, session) == len(body)
+    assert bytes(ffi.buffer(wire, len(body))) == body
 
 
 @given(frame=st.lists(st.integers(1, 255), min_size=1, max_size=127).map(bytes))

@@ -200,13 +200,10 @@ static int passes(const uint8_t *bytes, uint16_t count, uint16_t session)
             frame[length++] = bytes[i];
             continue;
         }
-        const uint16_t raw = station_unstuff(frame, length);
+        const uint8_t scoped = frame[1] == STATION_CODE_COMMAND || frame[1] == STATION_CODE_SAMPLE;
+        const uint16_t raw = length < 2 ? 0 : station_decode(frame, length, scoped ? session : 0);
         length = 0;
-        if (raw < 3 || station_body_size(frame[0]) + 2 != raw) {
-            continue;
-        }
-        const uint8_t scoped = frame[0] == STATION_CODE_COMMAND || frame[0] == STATION_CODE_SAMPLE;
-        if (station_crc((uint16_t)(STATION_CRC_START ^ (scoped ? session : 0)), frame, raw) == 0) {
+        if (raw > 0 && station_body_size(frame[0]) == raw) {
             return 1;
         }
     }
@@ -274,15 +271,16 @@ static int errors(uint32_t count)
             wire[at[j] / 8] ^= (uint8_t)(1u << at[j] % 8);
         }
         three += (uint64_t)passes(wire, (uint16_t)(size + 1), session);
-        /* garbage that has a frame's shape: right stuffing, a message's code and length */
-        const uint8_t code = codes[below(sizeof codes)];
-        const uint16_t length = (uint16_t)(station_body_size(code) + 2);
-        uint8_t raw[STATION_FRAME_BYTES];
-        raw[0] = code;
-        for (uint16_t j = 1; j < length; j++) {
-            raw[j] = (uint8_t)draw();
+        /* garbage that has a frame's shape: a message's code and length, bytes of check that could be some */
+        const uint16_t length = some_frame(codes[below(sizeof codes)], 0, wire, &session);
+        for (uint16_t j = 2; j < length - 4; j++) {
+            wire[j] = (uint8_t)(1 + below(255));
         }
-        junk += station_crc((uint16_t)(STATION_CRC_START ^ session), raw, length) == 0;
+        wire[0] = (uint8_t)(length - 4);
+        wire[length - 4] = (uint8_t)(0x40 + below(64));
+        wire[length - 3] = (uint8_t)(0x40 + below(32));
+        wire[length - 2] = (uint8_t)(0x40 + below(32));
+        junk += (uint64_t)passes(wire, length, session);
     }
     printf("%llu of %u with three bits flipped accepted, %llu of %u of garbage with the right shape; "
            "2 x 2^-16 of them is %.0f\n", (unsigned long long)three, count, (unsigned long long)junk, count,
@@ -303,8 +301,7 @@ static int codec(uint32_t count)
         station_pack_sample(&sample, body);
         const uint16_t size = station_encode(body, sizeof body, 4711, wire);
         memcpy(back, wire, size);
-        const uint16_t raw = station_unstuff(back, (uint16_t)(size - 1));
-        if (station_crc(STATION_CRC_START ^ 4711, back, raw) != 0) {
+        if (station_decode(back, (uint16_t)(size - 1), 4711) != sizeof body) {
             return 1;
         }
         station_unpack_sample(back, &read);
