@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from station.cli.options import Json, Port, RigName, command
+from station.cli.options import Baud, Json, Port, RigName, command
 from station.cli.terminal import console, note, number, progress, row, say, table, write_json
 
 if TYPE_CHECKING:
@@ -47,13 +47,13 @@ def loopback(
     rate: Annotated[float | None, typer.Option("--rate", min=1.0, metavar="HZ", help=(
         "Samples per second; by default the most that the device offers."))] = None,
     seconds: Annotated[float, typer.Option("--seconds", min=0.1, max=3600.0, help="How long, s.")] = 2.0,
-    json: Json = None,
+    baud: Baud = None, json: Json = None,
 ) -> None:
     """Check a line and its device, the motor held at zero: identity, rate, losses, latency, and what to do."""
     from station.device.port import open_port
     from station.loop.loopback import loopback as exchange
 
-    with open_port(port) as line:
+    with open_port(port, baud) as line:
         found = exchange(line, rate, seconds)
     if json:
         write_json(json, asdict(found))
@@ -67,6 +67,8 @@ def loopback(
     for name, spread in (("answer, us", found.latency), ("device's ticks, us", found.device_jitter), *arrival):
         row(shown, name, *(f"{1e6 * value:.1f}" for value in asdict(spread).values()))
     console().print(shown)
+    for line_ in found.histogram.lines():
+        say(f"  {line_}")
     measured = "virtual time" if found.rate_measured is None else f"{found.rate_measured:.3f} Hz by this host's clock"
     say(f"{found.counts.samples} samples at {found.rate:g} Hz ({measured}), "
         f"{100.0 * found.answered:.3f} % answered in time, {found.counts.lost} lost, {found.counts.corrupt} corrupt")
@@ -76,7 +78,7 @@ def loopback(
 def check(
     port: Port, rig: RigName,
     amplitude: Annotated[float, typer.Option("--amplitude", help="Size of the pulses, counts.")] = 20.0,
-    json: Json = None,
+    baud: Baud = None, json: Json = None,
 ) -> None:
     """Send small pulses either way; say whether motor, encoder and accelerometer work and which way they point."""
     from station.device.port import open_port
@@ -84,7 +86,7 @@ def check(
     from station.rig import load_rig
 
     model = load_rig(rig)
-    with open_port(port) as line, progress(f"check on {port}") as update:
+    with open_port(port, baud) as line, progress(f"check on {port}") as update:
         found = check_rig(line, model, amplitude, lambda row, rows: update(row / rows))
     if json:
         write_json(json, asdict(found))

@@ -22,7 +22,7 @@ _FIGURES = {"overshoot": ("overshoot, %", 1.0), "rise": ("rise, s", 1.0), "settl
 
 
 def run_plan(path: Path, port: str, rig: Rig, out: Path, *, force: bool = False, realtime: bool = False,
-             view: bool = False) -> None:
+             view: bool = False, baud: int | None = None) -> None:
     """Run what is left of a plan, keep each run in ``out``, and say what all of them come to."""
     from station.device.port import open_port
     from station.loop.plan import load_plan
@@ -41,7 +41,7 @@ def run_plan(path: Path, port: str, rig: Rig, out: Path, *, force: bool = False,
         f"{plan.name}: {len(plan.trials)} runs")
     try:
         if left:
-            with open_port(port) as line:
+            with open_port(port, baud) as line:
                 _go_on(plan, line, left, runs, out, force=force, realtime=realtime, view=view)
     except (KeyboardInterrupt, StationError):
         note(f"{len(runs)} of {len(plan.trials)} runs are made; the same command goes on from here")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from station.cli.options import Overwrite, Port, RigName, RunFile, command, need_folder
+from station.cli.options import Baud, Overwrite, Port, RigName, RunFile, command, need_folder
 from station.cli.terminal import note, number, progress, say
 from station.errors import StationError, UsageError
 
@@ -161,7 +161,8 @@ def need_log(out: Path) -> None:
 
 def single(port: str, rig: str, out: Path, asked: dict[str, Any], reference: np.ndarray | None = None, *,
            controller: str | None, gain: float | None, zero: float | None, pole: float | None, overwrite: bool,
-           view: bool, force: bool, realtime: bool, tags: list[str] | None, note_: str | None) -> None:
+           view: bool, force: bool, realtime: bool, tags: list[str] | None, note_: str | None,
+           baud: int | None) -> None:
     """Run one test from the command line and say how it went."""
     from station.cli.controllers import controller_spec
     from station.device.port import open_port
@@ -176,7 +177,7 @@ def single(port: str, rig: str, out: Path, asked: dict[str, Any], reference: np.
     metadata = {"test": asked, **({"tags": sorted(set(tags))} if tags else {}), **({"note": note_} if note_ else {})}
     before = out.exists()
     sink = log_sink(out, overwrite, live_view(model) if view else None)
-    with open_port(port) as line:
+    with open_port(port, baud) as line:
         try:
             result = perform(line, model, spec, asked, sink, reference, metadata=metadata, force=force,
                              realtime=realtime)
@@ -193,10 +194,10 @@ def _command_for(kind: str) -> Callable[..., None]:
 
     def run(port: Port, rig: RigName, out: Log, controller: Controller = None, gain: Gain = None, zero: Zero = None,
             pole: Pole = None, overwrite: Overwrite = False, view: View = False, force: Force = False,
-            realtime: RealTime = False, tag: Tags = None, note: Note = None, **test: Any) -> None:
+            realtime: RealTime = False, tag: Tags = None, note: Note = None, baud: Baud = None, **test: Any) -> None:
         asked = {"kind": kind, **{key: value for key, value in test.items() if value is not None}}
         single(port, rig, out, asked, controller=controller, gain=gain, zero=zero, pole=pole, overwrite=overwrite,
-               view=view, force=force, realtime=realtime, tags=tag, note_=note)
+               view=view, force=force, realtime=realtime, tags=tag, note_=note, baud=baud)
 
     hints = {name: hint for name, hint in inspect.get_annotations(run, eval_str=True).items() if name != "test"}
     common = [parameter.replace(annotation=hints[parameter.name])
@@ -222,7 +223,7 @@ for _kind in KINDS:
 def recorded(
     run: RunFile, port: Port, rig: RigName, out: Log, controller: Controller = None, gain: Gain = None,
     zero: Zero = None, pole: Pole = None, overwrite: Overwrite = False, view: View = False, force: Force = False,
-    realtime: RealTime = False, tag: Tags = None, note: Note = None,
+    realtime: RealTime = False, tag: Tags = None, note: Note = None, baud: Baud = None,
 ) -> None:
     """The reference of a logged run once more; under --controller open its commands."""
     from station.loop.plan import recorded_reference
@@ -231,7 +232,7 @@ def recorded(
     need_log(out)
     reference, asked = recorded_reference(run, load_rig(rig).sample_rate, controller == "open")
     single(port, rig, out, asked, reference, controller=controller, gain=gain, zero=zero, pole=pole,
-           overwrite=overwrite, view=view, force=force, realtime=realtime, tags=tag, note_=note)
+           overwrite=overwrite, view=view, force=force, realtime=realtime, tags=tag, note_=note, baud=baud)
 
 
 @group.callback(invoke_without_command=True)
@@ -243,7 +244,7 @@ def _run(
     rig: Annotated[str | None, typer.Option("--rig", metavar="RIG", help="With --plan: as for a KIND.")] = None,
     out: Annotated[Path | None, typer.Option("--out", metavar="FOLDER", help=(
         "With --plan: folder of the runs."))] = None,
-    force: Force = False, realtime: RealTime = False, view: View = False,
+    force: Force = False, realtime: RealTime = False, view: View = False, baud: Baud = None,
 ) -> None:
     """Run one test on a device and log it, or a plan of tests; the motor is commanded to zero on every way out."""
     if context.invoked_subcommand is not None:
@@ -258,7 +259,7 @@ def _run(
     from station.cli.plan import run_plan
     from station.rig import load_rig
 
-    run_plan(plan, port, load_rig(rig), out, force=force, realtime=realtime, view=view)
+    run_plan(plan, port, load_rig(rig), out, force=force, realtime=realtime, view=view, baud=baud)
 
 
 app.add_typer(group, name="run", rich_help_panel=PANEL, epilog=(

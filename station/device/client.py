@@ -99,7 +99,7 @@ class Client:
         self._challenge = 0
         self._limits = NO_LIMITS
 
-    def _request(self, name: str, answer: str, before: bytes = b"", **values: Any) -> Any:
+    def _request(self, name: str, answer: str, before: bytes = b"", tries: int = TRIES, **values: Any) -> Any:
         """Send until the answer comes; other frames that come meanwhile are kept in ``inbox``.
 
         ``before``: bytes sent together with it.  Each try ends ANSWER_SECONDS after it was sent, whatever else comes:
@@ -108,7 +108,7 @@ class Client:
         wanted, code = MESSAGES[answer], MESSAGES[name].code
         frame = encode(MESSAGES[name].pack(**values))
         seen = 0
-        for self._tries in range(1, TRIES + 1):
+        for self._tries in range(1, tries + 1):
             self.port.write(before + frame)
             waited, end = 0.0, time.perf_counter() + ANSWER_SECONDS
             while waited < ANSWER_SECONDS and time.perf_counter() < end:
@@ -157,13 +157,14 @@ class Client:
                             f"{words.format(state=state_words(reply.state, reply.fault))}")
         return reply
 
-    def identify(self) -> Identity:
+    def identify(self, tries: int = TRIES) -> Identity:
         """Ask who is there; WorkError for what is no Station device or speaks another protocol.
 
         Takes the device to idle, motor at zero, should a run of another host be on.
         """
         self.session = self.decoder.session = 0
-        found = self._request("identify", "identity", b"\0", version=PROTOCOL.version, hash=PROTOCOL.hash)
+        found = self._request("identify", "identity", b"\0", tries, version=PROTOCOL.version,
+                              hash=PROTOCOL.hash)
         end = time.perf_counter() + ANSWER_SECONDS
         while self._tries > 1 and time.perf_counter() < end and (data := self.port.read_waiting()):
             self.inbox.extend(self.decoder.feed(data))

@@ -52,6 +52,20 @@ def decode(frame: bytes, session: int = 0) -> bytes | None:
     return body if body[0] == message.code else None
 
 
+def any_body(frame: bytes) -> bytes | None:
+    """The body of a frame of scope "link" whose check passes, of whatever message and length; else None.
+
+    For a device of another protocol: what it sends is not what this Station expects, but it is sent well.
+    """
+    stuffed = frame[:-_CHECK_BYTES]
+    if len(stuffed) < 2 or int.from_bytes(frame[-_CHECK_BYTES:], "big") != _check(crc_hqx(stuffed, CRC_START)):
+        return None
+    try:
+        return cobs.decode(stuffed) or None
+    except cobs.DecodeError:
+        return None
+
+
 class Decoder:
     """Splits a stream into bodies, whatever pieces it comes in; counts the frames that do not pass.
 

@@ -90,8 +90,9 @@ def _complaint(url: str, error: Exception) -> StationError:
     return WorkError(f"{url}: cannot be opened ({text})")
 
 
-def open_port(url: str, baud_rate: int = BAUD_RATE) -> Port:
+def open_port(url: str, baud_rate: int | None = None) -> Port:
     """Open a path or a pyserial URL.  UsageError: no such port, bad URL; WorkError: busy, no permission, refused."""
+    baud_rate = BAUD_RATE if baud_rate is None else baud_rate
     if HANDLERS not in serial.protocol_handler_packages:
         serial.protocol_handler_packages.append(HANDLERS)
     try:
