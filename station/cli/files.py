@@ -147,29 +147,86 @@ def recover(run: RunFile, out: Out) -> None:
     say(f"{out}: {found.rows} rows; {state}")
 
 
-@command(app, "replay", PANEL, "station replay step.mcap")
+@command(app, "replay", PANEL, "station replay step.mcap --model sflr")
 def replay(
     run: RunFiles, rig: RigOrNone = None,
+    model: Annotated[str | None, typer.Option("--model", metavar="RIG", help=(
+        "Show the measured run against this rig's simulation: a rig file or built-in name."))] = None,
+    controller: Annotated[str | None, typer.Option("--controller", metavar="NAME", help=(
+        "Another compensator in place of the run's own: open, p, lead, lead-accel, or a TOML file."))] = None,
+    save: Annotated[Path | None, typer.Option("--save", metavar="FILE", help=(
+        "With --model: write measured and simulated as a Rerun recording (.rrd)."))] = None,
     shaped: Annotated[bool, typer.Option("--shaped", help=(
         "Start from the logged reference after the accelerometer loop, where the log has it."))] = False,
     tolerance: Annotated[float, typer.Option("--tolerance", min=0.0, metavar="COUNTS", help=(
         "Difference that still counts as the same command."))] = 1e-3,
     json: Json = None,
 ) -> None:
-    """Work out a run's commands again by its own compensator, and say where and why they are not the logged ones."""
+    """Work out a run's commands again by its own compensator or another, and say where and why they are not the
+    logged ones; with --model, how the simulated rig does the same test.
+    """
+    from dataclasses import replace as changed
+
+    from station.cli.controllers import controller_spec
     from station.rig import load_rig
     from station.runs import compare_replay
 
+    if save is not None and (model is None or save.suffix.lower() != ".rrd"):
+        raise UsageError(f"--save {save}: a recording's name ends in .rrd, and --model says what is drawn beside a run")
+    need_folder(save)
     results = []
     for path, item in zip(run, load_runs(run), strict=True):
-        limit = (load_rig(rig) if rig is not None else rig_of(item, path)).amplifier.limit
+        limit = load_rig(rig).command_limit if rig is not None else _command_limit(item, path)
+        if controller is not None:
+            spec = controller_spec(controller, item.sample_rate)
+            item = changed(item, metadata=item.metadata.model_copy(update={"controller": spec}))
         results.append((item, compare_replay(item, limit, shaped=shaped, tolerance=tolerance)))
+    simulated = _simulated(model, [item for item, _ in results], save) if model is not None else []
     if json:
         write_json(json, {"runs": [
             {"run": item.name, "max_abs_difference": found.max_abs_difference, "row": found.row, "same": found.same,
-             "rows_beyond": found.rows_beyond, "note": found.note} for item, found in results]})
+             "rows_beyond": found.rows_beyond, "note": found.note, **({"model": simulated[i]} if simulated else {})}
+            for i, (item, found) in enumerate(results)]})
         if json == "-":
             return
-    for item, found in results:
+    for i, (item, found) in enumerate(results):
         say(f"{item.name}: largest difference {number(found.max_abs_difference)} counts, row {found.row} of "
-            f"{len(item)}; {found.note}")
+            f"{len(item)}; {found.note if controller is None else f'as {controller} would have had it'}")
+        if simulated:
+            say(f"  {model}: {_against(simulated[i])}")
+    if save is not None:
+        say(f"{save}: measured and simulated")
+
+
+def _command_limit(run: Run, path: Path) -> float:
+    """The limit under which a run was made, else that of its rig."""
+    own = run.metadata.entries().get("command_limit")
+    return float(own) if isinstance(own, int | float) else rig_of(run, path).command_limit
+
+
+def _simulated(model: str, runs: list[Run], save: Path | None) -> list[dict[str, Any]]:
+    """How a rig's simulation does the same tests; drawn beside the measured runs where that is asked for."""
+    from station.cli.models import simulations
+    from station.cli.views import status_names
+    from station.rig import load_rig
+    from station.view.recording import write_recording
+
+    rig = load_rig(model)
+    found = [_measures(run, simulation) for run, simulation in zip(runs, simulations(rig, runs), strict=True)]
+    if save is not None:
+        write_recording(save, runs, rig, status_names=status_names())
+    return found
+
+
+def _measures(run: Run, simulation: Any) -> dict[str, Any]:
+    from station.diagnose.measures import measures
+
+    return measures(run, simulation)
+
+
+def _against(found: dict[str, Any]) -> str:
+    fits = [f"{channel} fits by {100.0 * (1.0 - found[channel]['nrmse']):.1f} %" for channel in ("encoder", "accel")
+            if channel in found]
+    steps = [f"{key.replace('_', ' ')} {number(found['measured'][key])} measured, {number(value)} simulated"
+             for key, value in found["simulated"].items()]
+    return "; ".join([*fits, *steps])

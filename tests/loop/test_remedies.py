@@ -109,8 +109,11 @@ def test_a_clock_two_percent_off_is_told(rows, tmp_path):
     slow = rows.rig.with_effects([ClockScale(at="clock", ratio=1.02)])
     path = tmp_path / "slow.toml"
     path.write_text(slow.to_toml())
-    with open_port(f"sim://x?rig={path}&speed=1") as port:
-        found = loopback(port, seconds=1.5)
+    for _ in range(6):  # a busy machine may fault the device early
+        with open_port(f"sim://x?rig={path}&speed=1") as port:
+            found = loopback(port, seconds=1.0)
+        if found.counts.samples > 300:
+            break
     (words,) = (words for words in found.verdict if "clock runs at" in words)
     assert found.pace.ratio == pytest.approx(1.0 / 1.02, abs=1e-3)
     assert "490." in words and "not 500" in words
