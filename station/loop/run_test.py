@@ -210,13 +210,18 @@ def _drive(client: Client, setup: Setup, compensator: Compensator, reference: np
     step, append, seconds = compensator.step, sink.append, DeviceClock(result.identity.clock_hz).seconds
     latencies, device_times, host_times = np.zeros(rows), np.zeros(rows), np.zeros(rows)
 
-    guard = Guard(client.port.url, setup.limits.within(setup.identity.limits), result.rest.encoder)
+    guard = Guard(client.port.url, setup.limits.within(setup.identity.limits), result.rest.encoder, setup.limit, rate)
+    drive, limited = guard.drive, guard.limited
 
     def respond(row: int, encoder: int, accel: int) -> int:
         """The command for tick row + answer_ticks; beyond the last row 0."""
-        if guard.active:
+        if limited:
             guard.see(row, encoder)
-        return math.floor(step(wanted[row + answer_ticks], encoder, accel) + 0.5) if row < last else 0
+        if row >= last:
+            return 0
+        command = step(wanted[row + answer_ticks], encoder, accel)
+        drive(row, encoder, command)
+        return math.floor(command + 0.5)
 
     def record(row: int, device_ticks: int, encoder: int, accel: int, command: int, status: int, sent: float,
                received: float, written: float) -> None:

@@ -62,13 +62,31 @@ def require_within_limits(rig: Rig, reference: np.ndarray, open_loop: bool) -> N
                          f"limits.travel = {limits.travel:g}")
 
 
-class Guard:
-    """The host's own watch over travel and speed, in counts as the device holds them; 0 is no limit."""
+STALL_SHARE, STALL_SECONDS = 0.5, 0.5
+"""A command of this share of the limit, held so long, moves every arm that is free and every encoder that works."""
 
-    def __init__(self, url: str, limits: DeviceLimits, start: int) -> None:
+
+class Guard:
+    """The host's own watch while a test runs: travel and speed, in counts as the device holds them (0: no limit), and
+    an encoder that stands still under a large command (``limit``: the command's, counts; ``rate``: Hz)."""
+
+    def __init__(self, url: str, limits: DeviceLimits, start: int, limit: float, rate: float) -> None:
         self._url, self._limits, self._start = url, limits, start
         self._last = deque([start] * SPEED_TICKS, SPEED_TICKS)
-        self.active = bool(limits.travel or limits.speed)
+        self.limited = bool(limits.travel or limits.speed)
+        self._level, self._patience = STALL_SHARE * limit, max(round(STALL_SECONDS * rate), 2)
+        self._stood, self._still = start, 0
+
+    def drive(self, row: int, encoder: int, command: float) -> None:
+        """WorkError where the command (counts) has been large for STALL_SECONDS and the encoder has not moved."""
+        if abs(command) < self._level or abs(encoder - self._stood) > 1:
+            self._stood, self._still = encoder, 0
+            return
+        self._still += 1
+        if self._still >= self._patience:
+            raise WorkError(f"{self._url}: the motor was driven at {abs(command):.0f} counts for {STALL_SECONDS:g} s "
+                            f"and the encoder stood still; stopped at row {row}, the motor is at zero; see what holds "
+                            "the arm, the motor's power, and the encoder's cable")
 
     def see(self, row: int, encoder: int) -> None:
         """WorkError where the encoder's reading (counts) of this row is beyond a limit."""
