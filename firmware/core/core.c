@@ -80,12 +80,13 @@ static void send_reply(station_core *core, uint8_t request, uint8_t result)
     (void)send(core, body, sizeof body, 0);
 }
 
-static void send_identity(station_core *core)
+static void send_identity(station_core *core, uint16_t nonce)
 {
     uint8_t body[STATION_BODY_IDENTITY];
     station_identity identity = {
         .version = STATION_PROTOCOL_VERSION,
         .hash = STATION_PROTOCOL_HASH,
+        .nonce = nonce,
         .challenge = core->challenge,
         .boot = core->board.boot,
         .zeroings = core->zeroings,
@@ -151,7 +152,7 @@ static void on_identify(station_core *core, const uint8_t *body)
     core->random = next_random(core->random);
     core->challenge = core->random;
     (void)happen(core, STATION_EVENT_IDENTIFY);
-    send_identity(core);
+    send_identity(core, message.nonce);
 }
 
 static uint32_t ticks_of(uint32_t rate, uint32_t milliseconds)

@@ -46,12 +46,14 @@ void station_pack_identify(const station_identify *in, uint8_t *body)
     body[0] = STATION_CODE_IDENTIFY;
     put16(body + 1, in->version);
     put32(body + 3, in->hash);
+    put16(body + 7, in->nonce);
 }
 
 void station_unpack_identify(const uint8_t *body, station_identify *out)
 {
     out->version = get16(body + 1);
     out->hash = get32(body + 3);
+    out->nonce = get16(body + 7);
 }
 
 void station_pack_configure(const station_configure *in, uint8_t *body)
@@ -123,48 +125,50 @@ void station_pack_identity(const station_identity *in, uint8_t *body)
     body[0] = STATION_CODE_IDENTITY;
     put16(body + 1, in->version);
     put32(body + 3, in->hash);
-    put32(body + 7, in->challenge);
-    put32(body + 11, in->boot);
-    put16(body + 15, in->zeroings);
-    put32(body + 17, in->clock_hz);
-    put32(body + 21, in->rate_min);
-    put32(body + 25, in->rate_max);
-    put16(body + 29, (uint16_t)in->command_limit);
-    put32(body + 31, in->travel_limit);
-    put16(body + 35, in->speed_limit);
-    put16(body + 37, (uint16_t)in->stall_command);
-    put16(body + 39, in->stall_time);
-    put32(body + 41, in->baud_rate);
-    put16(body + 45, in->allowance);
-    put16(body + 47, in->flags);
-    put32(body + 49, in->build);
-    put8(body + 53, in->reset);
-    put8(body + 54, in->state);
-    memcpy(body + 55, in->board, 16);
+    put16(body + 7, in->nonce);
+    put32(body + 9, in->challenge);
+    put32(body + 13, in->boot);
+    put16(body + 17, in->zeroings);
+    put32(body + 19, in->clock_hz);
+    put32(body + 23, in->rate_min);
+    put32(body + 27, in->rate_max);
+    put16(body + 31, (uint16_t)in->command_limit);
+    put32(body + 33, in->travel_limit);
+    put16(body + 37, in->speed_limit);
+    put16(body + 39, (uint16_t)in->stall_command);
+    put16(body + 41, in->stall_time);
+    put32(body + 43, in->baud_rate);
+    put16(body + 47, in->allowance);
+    put16(body + 49, in->flags);
+    put32(body + 51, in->build);
+    put8(body + 55, in->reset);
+    put8(body + 56, in->state);
+    memcpy(body + 57, in->board, 16);
 }
 
 void station_unpack_identity(const uint8_t *body, station_identity *out)
 {
     out->version = get16(body + 1);
     out->hash = get32(body + 3);
-    out->challenge = get32(body + 7);
-    out->boot = get32(body + 11);
-    out->zeroings = get16(body + 15);
-    out->clock_hz = get32(body + 17);
-    out->rate_min = get32(body + 21);
-    out->rate_max = get32(body + 25);
-    out->command_limit = signed16(get16(body + 29));
-    out->travel_limit = get32(body + 31);
-    out->speed_limit = get16(body + 35);
-    out->stall_command = signed16(get16(body + 37));
-    out->stall_time = get16(body + 39);
-    out->baud_rate = get32(body + 41);
-    out->allowance = get16(body + 45);
-    out->flags = get16(body + 47);
-    out->build = get32(body + 49);
-    out->reset = get8(body + 53);
-    out->state = get8(body + 54);
-    memcpy(out->board, body + 55, 16);
+    out->nonce = get16(body + 7);
+    out->challenge = get32(body + 9);
+    out->boot = get32(body + 13);
+    out->zeroings = get16(body + 17);
+    out->clock_hz = get32(body + 19);
+    out->rate_min = get32(body + 23);
+    out->rate_max = get32(body + 27);
+    out->command_limit = signed16(get16(body + 31));
+    out->travel_limit = get32(body + 33);
+    out->speed_limit = get16(body + 37);
+    out->stall_command = signed16(get16(body + 39));
+    out->stall_time = get16(body + 41);
+    out->baud_rate = get32(body + 43);
+    out->allowance = get16(body + 47);
+    out->flags = get16(body + 49);
+    out->build = get32(body + 51);
+    out->reset = get8(body + 55);
+    out->state = get8(body + 56);
+    memcpy(out->board, body + 57, 16);
 }
 
 void station_pack_reply(const station_reply *in, uint8_t *body)

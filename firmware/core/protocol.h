@@ -5,7 +5,7 @@
 
 #include <stdint.h>
 
-#define STATION_PROTOCOL_HASH 0x9d4a0ff4u
+#define STATION_PROTOCOL_HASH 0x911b7a37u
 
 enum {
     STATION_PROTOCOL_VERSION = 2,
@@ -37,7 +37,7 @@ enum {
     STATION_CODE_SAMPLE = 0x83,
     STATION_CODE_FAULT = 0x84,
     STATION_CODE_STATISTICS = 0x85,
-    STATION_BODY_IDENTIFY = 7,
+    STATION_BODY_IDENTIFY = 9,
     STATION_BODY_CONFIGURE = 20,
     STATION_BODY_ARM = 5,
     STATION_BODY_START = 7,
@@ -46,7 +46,7 @@ enum {
     STATION_BODY_CLEAR = 1,
     STATION_BODY_ZERO = 1,
     STATION_BODY_QUERY = 1,
-    STATION_BODY_IDENTITY = 71,
+    STATION_BODY_IDENTITY = 73,
     STATION_BODY_REPLY = 11,
     STATION_BODY_SAMPLE = 17,
     STATION_BODY_FAULT = 4,
@@ -102,6 +102,7 @@ enum {
 typedef struct {
     uint16_t version; /* the host's protocol version */
     uint32_t hash; /* the host's protocol hash */
+    uint16_t nonce; /* another one each time: tells its answer from those that the line has stored */
 } station_identify;
 
 /* idle only; a limit can only be tightened below what is compiled in, 0 leaves it (but command_limit: 0 is 0); from the host */
@@ -138,7 +139,8 @@ typedef struct {
 typedef struct {
     uint16_t version;
     uint32_t hash;
-    uint32_t challenge; /* new at each identify; arm must give it back */
+    uint16_t nonce; /* of the identify that is answered */
+    uint32_t challenge; /* new at each identify; arm and start must give it back */
     uint32_t boot; /* random number of this power-up */
     uint16_t zeroings; /* how often the encoder was zeroed since */
     uint32_t clock_hz; /* Hz, of the clock in samples */

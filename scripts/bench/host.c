@@ -1,6 +1,6 @@
 /* A bare host for the paced benchmark: the lead compensator over the same protocol, in C, with nothing around it.
 
-   host tcp PORT | pty PATH    TICKS
+   host tcp PORT | pty PATH    TICKS    RATE (mHz)
 
    Prints one line: ticks seen, ticks unanswered, ticks counted apart (the device itself began this tick or the one
    before late), unanswered among the others, faults, and the latency's median and 99th percentile in microseconds.
@@ -98,7 +98,7 @@ static void request(const uint8_t *body, uint16_t length)
     expect(STATION_CODE_REPLY);
 }
 
-static void begin(uint16_t session)
+static void begin(uint16_t session, uint32_t rate)
 {
     uint8_t body[64];
     body[0] = STATION_CODE_CLEAR;
@@ -109,7 +109,7 @@ static void begin(uint16_t session)
     expect(STATION_CODE_IDENTITY);
     station_identity identity;
     station_unpack_identity(frame, &identity);
-    const station_configure configure = {.rate = 500000, .command_limit = identity.command_limit, .hold_ticks = 1,
+    const station_configure configure = {.rate = rate, .command_limit = identity.command_limit, .hold_ticks = 1,
                                          .fault_ticks = 10, .answer_ticks = 1};
     station_pack_configure(&configure, body);
     request(body, STATION_BODY_CONFIGURE);
@@ -129,8 +129,8 @@ static int by_size(const void *a, const void *b)
 
 int main(int argc, char **argv)
 {
-    if (argc != 4) {
-        fprintf(stderr, "host tcp PORT | pty PATH, TICKS\n");
+    if (argc != 5) {
+        fprintf(stderr, "host tcp PORT | pty PATH, TICKS, RATE\n");
         return 2;
     }
     if (strcmp(argv[1], "tcp") == 0) {
@@ -159,7 +159,7 @@ int main(int argc, char **argv)
     while (seen < wanted) {
         double error_before = 0.0, out = 0.0;
         int woke_late_before = 0;
-        begin(++session);
+        begin(++session, (uint32_t)atol(argv[4]));
         while (seen < wanted) {
             const uint8_t code = receive(session, 1000);
             const double received = now();

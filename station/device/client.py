@@ -5,6 +5,7 @@ from __future__ import annotations
 import secrets
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,6 +29,8 @@ from station.errors import WorkError
 ANSWER_SECONDS = 0.3
 """So long a request waits for its answer before it is sent again."""
 TRIES = 5
+_MOST_BYTES = 100_000
+"""A line that brings more and no answer is not a device's."""
 _IDENTITY = MESSAGES["identity"].code
 _WORDS = {
     Result.WRONG_STATE: "it is {state}",
@@ -95,44 +98,48 @@ class Client:
         self.inbox: deque[bytes] = deque()
         self.session = self.last_session = 0
         self.paced = True
-        self._tries = 0
+        self._tries = self._seen = 0
         self._challenge = 0
         self._limits = NO_LIMITS
 
-    def _request(self, name: str, answer: str, before: bytes = b"", tries: int = TRIES, **values: Any) -> Any:
-        """Send until the answer comes; other frames that come meanwhile are kept in ``inbox``.
+    def _once(self, data: bytes, accept: Callable[[bytes], Any]) -> Any:
+        """Send and wait for the first body that ``accept`` makes something of; the others are kept in ``inbox``.
 
-        ``before``: bytes sent together with it.  Each try ends ANSWER_SECONDS after it was sent, whatever else comes:
-        a line that babbles holds nobody up.
+        None where nothing came within ANSWER_SECONDS, whatever else did: a line that babbles holds nobody up.
         """
+        self.port.write(data)
+        waited, end = 0.0, time.perf_counter() + ANSWER_SECONDS
+        while waited < ANSWER_SECONDS and time.perf_counter() < end and self._seen <= _MOST_BYTES:
+            data = self.port.read_waiting()
+            if not data:
+                waited += TIMEOUT
+            self._seen += len(data)
+            found = None
+            for body in self.decoder.feed(data):
+                taken = accept(body) if found is None else None
+                if taken is None:
+                    self.inbox.append(body)
+                else:
+                    found = taken
+            if found is not None:
+                return found
+        return None
+
+    def _request(self, name: str, answer: str, before: bytes = b"", **values: Any) -> Any:
+        """Send until the answer comes.  ``before``: bytes sent together with it."""
         wanted, code = MESSAGES[answer], MESSAGES[name].code
-        frame = encode(MESSAGES[name].pack(**values))
-        seen = 0
-        for self._tries in range(1, tries + 1):
-            self.port.write(before + frame)
-            waited, end = 0.0, time.perf_counter() + ANSWER_SECONDS
-            while waited < ANSWER_SECONDS and time.perf_counter() < end:
-                data = self.port.read_waiting()
-                if not data:
-                    waited += TIMEOUT
-                seen += len(data)
-                found = None
-                for body in self.decoder.feed(data):
-                    if body[0] != wanted.code or found is not None:
-                        self.inbox.append(body)
-                    elif body[0] == _IDENTITY:
-                        self._require_protocol(body)
-                        found = wanted.unpack(body)
-                    else:
-                        message = wanted.unpack(body)
-                        if answer != "reply" or message.request == code:
-                            found = message
-                if found is not None:
-                    return found
-                if seen > 100_000:
-                    break
-        if answer == "identity":
-            raise self._no_station(seen)
+        frame = before + encode(MESSAGES[name].pack(**values))
+
+        def accept(body: bytes) -> Any:
+            if body[0] != wanted.code:
+                return None
+            message = wanted.unpack(body)
+            return message if answer != "reply" or message.request == code else None
+
+        self._seen = 0
+        for _ in range(TRIES):
+            if (found := self._once(frame, accept)) is not None:
+                return found
         raise WorkError(f"{self.port.url}: no answer to {name}; the device is gone or the line is bad")
 
     def _no_station(self, seen: int) -> WorkError:
@@ -140,6 +147,14 @@ class Client:
             return WorkError(f"{self.port.url}: not a Station device ({seen} bytes came, none of them an answer); "
                              "check port, firmware and baud rate")
         return WorkError(f"{self.port.url}: no Station device answers; check port, cable and firmware")
+
+    def _identity(self, body: bytes, nonce: int) -> Any:
+        """The identity that answers this very request; one that the line has stored is not it."""
+        if body[0] != _IDENTITY:
+            return None
+        self._require_protocol(body)
+        found = MESSAGES["identity"].unpack(body)
+        return found if found.nonce == nonce else None
 
     def _require_protocol(self, body: bytes) -> None:
         version, number = int.from_bytes(body[1:3], "little"), int.from_bytes(body[3:7], "little")
@@ -163,14 +178,15 @@ class Client:
         Takes the device to idle, motor at zero, should a run of another host be on.
         """
         self.session = self.decoder.session = 0
-        found = self._request("identify", "identity", b"\0", tries, version=PROTOCOL.version,
-                              hash=PROTOCOL.hash)
-        end = time.perf_counter() + ANSWER_SECONDS
-        while self._tries > 1 and time.perf_counter() < end and (data := self.port.read_waiting()):
-            self.inbox.extend(self.decoder.feed(data))
-        for body in self.inbox:  # each try is answered, and the last answer counts
-            if body[0] == _IDENTITY and len(body) == MESSAGES["identity"].body_size:
-                found = MESSAGES["identity"].unpack(body)
+        found, self._seen = None, 0
+        for self._tries in range(1, tries + 1):
+            nonce = secrets.randbits(16)
+            frame = encode(MESSAGES["identify"].pack(version=PROTOCOL.version, hash=PROTOCOL.hash, nonce=nonce))
+            found = self._once(b"\0" + frame, lambda body, nonce=nonce: self._identity(body, nonce))
+            if found is not None:
+                break
+        else:
+            raise self._no_station(self._seen)
         self.inbox.clear()  # the rest is of an earlier connection
         self._challenge = found.challenge
         self.paced = not found.flags & BoardFlags.VIRTUAL_TIME

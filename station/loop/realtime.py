@@ -12,8 +12,9 @@ import ctypes
 import gc
 import os
 import sys
+import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
 
 PRIORITY = 50
@@ -69,7 +70,7 @@ def _wishes() -> list[Wish]:
         own = [("time-constraint scheduling", _macos_policy)]
     else:
         own = [("memory locked", _lock_memory), ("one core", _one_core), ("cores kept awake", _stay_awake),
-               ("SCHED_FIFO", _fifo)]
+               ("SCHED_FIFO", _fifo), ("its other threads next (SCHED_FIFO)", _others_too)]
     return [("garbage collection frozen", _freeze), *own]
 
 
@@ -88,6 +89,23 @@ def _fifo(undo: ExitStack) -> None:
     policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     undo.callback(os.sched_setscheduler, 0, policy, parameters)
+
+
+def _others_too(undo: ExitStack) -> None:
+    """This process's other threads, below the loop's: one that holds the interpreter's lock while the system runs some
+    other program would hold up the loop, whatever the loop's own priority."""
+    for thread in threading.enumerate():
+        number = thread.native_id
+        if number is None or thread is threading.current_thread():
+            continue
+        policy, parameters = os.sched_getscheduler(number), os.sched_getparam(number)
+        os.sched_setscheduler(number, os.SCHED_FIFO, os.sched_param(PRIORITY - 10))
+        undo.callback(_put_back, number, policy, parameters)
+
+
+def _put_back(number: int, policy: int, parameters: os.sched_param) -> None:
+    with suppress(OSError):  # a thread that has ended meanwhile
+        os.sched_setscheduler(number, policy, parameters)
 
 
 def _one_core(undo: ExitStack) -> None:

@@ -74,7 +74,7 @@ def protocol_differences(port: Port) -> list[str]:
     It is asked who it is, for its statistics, and to stop: what it answers shows the lengths of its messages.
     """
     frames = []
-    for name, values in (("identify", {"version": PROTOCOL.version, "hash": PROTOCOL.hash}), ("query", {}),
+    for name, values in (("identify", {"version": PROTOCOL.version, "hash": PROTOCOL.hash, "nonce": 1}), ("query", {}),
                          ("stop", {})):
         port.write(b"\0" + encode(MESSAGES[name].pack(**values)))
         end = time.perf_counter() + ANSWER_SECONDS

@@ -132,7 +132,7 @@ def test_serve_ends_when_it_is_told_to():
     thread.start()
     assert ready.wait(30)
     with open_port(found[0].tcp) as port:
-        port.write(encode(MESSAGES["identify"].pack(version=PROTOCOL.version, hash=PROTOCOL.hash)))
+        port.write(encode(MESSAGES["identify"].pack(version=PROTOCOL.version, hash=PROTOCOL.hash, nonce=0)))
         assert len(port.read(MESSAGES["identity"].wire_size)) == MESSAGES["identity"].wire_size
     stop.set()
     thread.join(5.0)

@@ -55,7 +55,8 @@ class Bench:
         return self.ask("configure", **(CONFIGURE | changes))
 
     def identify(self) -> Any:
-        identity = self.ask("identify", version=PROTOCOL.version, hash=PROTOCOL.hash)
+        identity = self.ask("identify", version=PROTOCOL.version, hash=PROTOCOL.hash, nonce=self.clock & 0xFFFF)
+        assert identity.nonce == self.clock & 0xFFFF
         self.challenge = identity.challenge
         return identity
 

@@ -24,7 +24,7 @@ class AnyHost(RuleBasedStateMachine):
 
     @rule()
     def identify(self):
-        self.challenge = self.ask("identify", version=PROTOCOL.version, hash=PROTOCOL.hash).challenge
+        self.challenge = self.ask("identify", version=PROTOCOL.version, hash=PROTOCOL.hash, nonce=1).challenge
 
     @rule(limit=st.integers(-5, LIMIT + 5), hold=st.integers(0, 7), fault=st.integers(0, 30), answer=st.just(1))
     def configure(self, limit, hold, fault, answer):

@@ -13,7 +13,7 @@ from station.device.protocol import MESSAGES, PROTOCOL, State
 from tests.firmware.conftest import CONFIGURE
 
 EXAMPLES = {
-    "identify": {"version": PROTOCOL.version, "hash": PROTOCOL.hash},
+    "identify": {"version": PROTOCOL.version, "hash": PROTOCOL.hash, "nonce": 0x0102},
     "configure": CONFIGURE,
     "arm": {"challenge": 0x12003400}, "start": {"session": 0x0100, "challenge": 0x12003400},
     "stop": {}, "clear": {}, "zero": {}, "query": {},

@@ -87,7 +87,7 @@ def test_an_old_challenge_arms_nothing(bench):
 @pytest.mark.parametrize(("version", "number"), [(PROTOCOL.version + 1, PROTOCOL.hash),
                                                  (PROTOCOL.version, PROTOCOL.hash ^ 1)])
 def test_a_host_of_another_protocol_is_told_who_we_are_and_refused(bench, version, number):
-    identity = bench.ask("identify", version=version, hash=number)
+    identity = bench.ask("identify", version=version, hash=number, nonce=0)
     assert (identity.version, identity.hash) == (PROTOCOL.version, PROTOCOL.hash)
     assert bench.configure().result == Result.WRONG_PROTOCOL
     assert bench.ask("arm", challenge=identity.challenge).result == Result.NOT_CONFIGURED

@@ -31,7 +31,7 @@ def test_what_is_said_to_be_granted_is_so_and_is_put_back():
         lines = Path("/proc/self/status").read_text().splitlines()
         locked = next(line for line in lines if line.startswith("VmLck"))
         assert ("memory locked" in found.got) == (int(locked.split()[1]) > 1000)
-        assert len(found.got) + len(found.missing) == 5
+        assert len(found.got) + len(found.missing) == 6
     assert state() == before
 
 

@@ -6,9 +6,9 @@ import time
 import pytest
 import serial
 
-from station.device.framing import encode
+from station.device.framing import Decoder, encode
 from station.device.port import Port, open_port
-from station.device.protocol import MESSAGES, PROTOCOL
+from station.device.protocol import MESSAGES
 from station.device.server import DeviceProcess
 from station.errors import WorkError
 from station.loop import remedies
@@ -44,7 +44,8 @@ def test_a_wrong_baud_rate_is_found_out(right):
 def stranger(length, version, others=()):
     """A device of another protocol: its identity has another length, and it has messages of its own."""
     def answer(data):
-        if encode(MESSAGES["identify"].pack(version=PROTOCOL.version, hash=PROTOCOL.hash)) in data:
+        asked = Decoder().feed(data)
+        if any(body[0] == MESSAGES["identify"].code for body in asked):
             body = bytes([IDENTITY.code]) + version.to_bytes(2, "little") + (0xABCD).to_bytes(4, "little")
             return encode(body.ljust(length, b"\1"))
         if encode(MESSAGES["query"].pack()) in data:
