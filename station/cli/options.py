@@ -20,6 +20,8 @@ Port = Annotated[str, typer.Option("--port", metavar="PORT", help=(
     "replay://FILE (a logged run)."))]
 Baud = Annotated[int | None, typer.Option("--baud", min=300, metavar="RATE", help=(
     "Baud rate of a board behind a UART, in place of 921600; USB and sockets take no notice."))]
+Force = Annotated[bool, typer.Option("--force", help=(
+    "Run a closed loop without a passed `station check` of this device and rig; the log says so."))]
 RunFile = Annotated[Path, typer.Argument(metavar="RUN", help=(
     "Run file: .mcap, .csv, .parquet, .mat, or a laboratory's tab-separated .txt."))]
 RunFiles = Annotated[list[Path], typer.Argument(metavar="RUN...", help=(

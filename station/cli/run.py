@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from station.cli.options import Baud, Overwrite, Port, RigName, RunFile, command, need_folder
+from station.cli.options import Baud, Force, Overwrite, Port, RigName, RunFile, command, need_folder
 from station.cli.terminal import note, number, progress, say
 from station.errors import StationError, UsageError
 
@@ -64,8 +64,6 @@ Controller = Annotated[str | None, typer.Option("--controller", metavar="NAME", 
 Gain = Annotated[float | None, typer.Option("--gain", help="The controller's gain in place of its own.")]
 Zero = Annotated[float | None, typer.Option("--zero", help="The lead's zero, rad/s, in place of its own.")]
 Pole = Annotated[float | None, typer.Option("--pole", help="The lead's pole, rad/s, in place of its own.")]
-Force = Annotated[bool, typer.Option("--force", help=(
-    "Run a closed loop without a passed `station check` of this device and rig; the log says so."))]
 RealTime = Annotated[bool, typer.Option("--realtime", help=(
     "Ask the system for a loop that is not disturbed; what was granted is told and logged."))]
 Tags = Annotated[list[str] | None, typer.Option("--tag", metavar="TAG", help="Tag for the run; may be repeated.")]
