@@ -33,6 +33,7 @@ from station.errors import WorkError
 from station.loop.run_test import run_test
 from station.rig import load_rig
 from station.runs.mcap_log import McapLogWriter
+from station.runs.run import RunMetadata
 
 RATE = 500
 WANTED_RATIO, WANTED_SHARE = 1.5, 0.0005
@@ -41,7 +42,8 @@ RESAMPLES = 10_000
 
 @dataclass(frozen=True)
 class Turn:
-    """One turn of one host: ticks seen, unanswered, counted apart, unanswered among the others, faults, latency."""
+    """One turn of one host: ticks seen, unanswered, counted apart, unanswered among the others, faults, latency, lost.
+    """
 
     seen: int
     unanswered: int
@@ -50,6 +52,7 @@ class Turn:
     faults: int
     median_us: float
     p99_us: float
+    lost: int = 0
 
     @property
     def judged(self) -> int:
@@ -63,7 +66,13 @@ class StatusLog:
     def __init__(self, path: Path, metadata: object) -> None:
         self._log = McapLogWriter(path, metadata, overwrite=True, blueprint=False)
         self.rows: list[tuple[int, float]] = []
-        self.update, self.close = self._log.update, self._log.close
+        self.close = self._log.close
+        self.lost = 0
+
+    def update(self, metadata: RunMetadata) -> None:
+        """Log the completed metadata; keep what was lost."""
+        self._log.update(metadata)
+        self.lost = metadata.counts["lost"]
 
     def append(self, row: tuple[float, ...]) -> None:
         """Log the row and keep what is judged."""
@@ -98,7 +107,7 @@ def station_turn(folder: Path, url: str, ticks: int) -> Turn:
         logs.append(StatusLog(folder / "turn.mcap", metadata))
         return logs[-1]
 
-    seen = faults = unanswered = apart = late = 0
+    seen = faults = unanswered = apart = late = lost = 0
     latency: list[float] = []
     with open_port(url) as port:
         while seen < ticks:
@@ -116,11 +125,12 @@ def station_turn(folder: Path, url: str, ticks: int) -> Turn:
             aside = woke | np.concatenate(([False], woke[:-1]))
             missed = (status & (Status.HELD | Status.ZEROED)) != 0
             seen += len(status)
+            lost += int(logs[-1].lost)
             unanswered += int(missed.sum())
             apart += int(aside.sum())
             late += int((missed & ~aside).sum())
     median, p99 = np.nanpercentile(latency, (50, 99)) * 1e6
-    return Turn(seen, unanswered, apart, late, faults, float(median), float(p99))
+    return Turn(seen, unanswered, apart, late, faults, float(median), float(p99), lost)
 
 
 def share(turns: list[Turn]) -> float:
