@@ -36,6 +36,7 @@ from station.errors import WorkError
 from station.loop.run_test import run_test
 from station.rig import Rig, load_rig
 from station.runs.mcap_log import McapLogWriter
+from station.runs.run import RunMetadata
 from station.view.live import LiveView, LogAndView
 from station.view.viewer import free_port, start
 
@@ -47,7 +48,8 @@ RESAMPLES = 10_000
 
 @dataclass(frozen=True)
 class Turn:
-    """One turn of one host: ticks seen, unanswered, counted apart, unanswered among the others, faults, latency."""
+    """One turn of one host: ticks seen, unanswered, counted apart, unanswered among the others, faults, latency, lost.
+    """
 
     seen: int
     unanswered: int
@@ -56,6 +58,7 @@ class Turn:
     faults: int
     median_us: float
     p99_us: float
+    lost: int = 0
 
     @property
     def judged(self) -> int:
@@ -69,7 +72,13 @@ class StatusLog:
     def __init__(self, path: Path, metadata: object) -> None:
         self._log = McapLogWriter(path, metadata, overwrite=True, blueprint=False)
         self.rows: list[tuple[int, float]] = []
-        self.update, self.close = self._log.update, self._log.close
+        self.close = self._log.close
+        self.lost = 0
+
+    def update(self, metadata: RunMetadata) -> None:
+        """Log the completed metadata; keep what was lost."""
+        self._log.update(metadata)
+        self.lost = metadata.counts["lost"]
 
     def append(self, row: tuple[float, ...]) -> None:
         """Log the row and keep what is judged."""
@@ -99,8 +108,9 @@ def bare_turn(host: Path, line: str, url: str, ticks: int, rate: int) -> Turn:
     return Turn(*(int(word) for word in words[:5]), *(float(word) for word in words[5:]))
 
 
-def station_turn(folder: Path, url: str, ticks: int, rig: Rig, viewer: str | None) -> Turn:
+def station_turn(folder: Path, url: str, ticks: int, rig: Rig | None = None, viewer: str | None = None) -> Turn:
     """One turn of ``run_test`` with log and view on; after a fault it goes on until all ticks are seen."""
+    rig = rig or load_rig("sflr")
     compensator = Compensator.from_spec({"kind": "lead", "gain": 20.0, "zero": 31.41592653589793,
                                          "pole": 125.66370614359172}, rig.sample_rate, rig.amplifier.limit)
     logs: list[StatusLog] = []
@@ -115,7 +125,7 @@ def station_turn(folder: Path, url: str, ticks: int, rig: Rig, viewer: str | Non
         views.append(view)
         return LogAndView(logs[-1], view)
 
-    seen = faults = unanswered = apart = late = 0
+    seen = faults = unanswered = apart = late = lost = 0
     latency: list[float] = []
     with open_port(url) as port:
         while seen < ticks:
@@ -133,11 +143,12 @@ def station_turn(folder: Path, url: str, ticks: int, rig: Rig, viewer: str | Non
             aside = woke | np.concatenate(([False], woke[:-1]))
             missed = (status & (Status.HELD | Status.ZEROED)) != 0
             seen += len(status)
+            lost += int(logs[-1].lost)
             unanswered += int(missed.sum())
             apart += int(aside.sum())
             late += int((missed & ~aside).sum())
     median, p99 = np.nanpercentile(latency, (50, 99)) * 1e6
-    return Turn(seen, unanswered, apart, late, faults, float(median), float(p99))
+    return Turn(seen, unanswered, apart, late, faults, float(median), float(p99), lost)
 
 
 def share(turns: list[Turn]) -> float:
@@ -156,7 +167,7 @@ def interval(station: list[Turn], bare: list[Turn]) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def realtime(process: int, priority: int) -> str:
+def realtime(process: int, priority: int = DEVICE_PRIORITY) -> str:
     """Put a process under the real-time scheduler; what became of it, in words."""
     try:
         os.sched_setscheduler(process, os.SCHED_FIFO, os.sched_param(priority))

@@ -19,6 +19,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -73,6 +74,8 @@ class PlantEnd:
         self.answer_wait = _ANSWER_WAIT
         self.listeners: list[Callable[[Word], None]] = []
         line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        with suppress(OSError):  # the emulated UART sends byte by byte; wake for a whole word
+            line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVLOWAT, _WORD.size)
 
     def _words(self, timeout: float) -> list[Word]:
         """What the board says within the timeout; ConnectionError when it has gone."""

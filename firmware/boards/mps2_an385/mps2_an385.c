@@ -73,7 +73,8 @@ static volatile uint8_t stuck;
 static station_input reading;
 static uint8_t reading_fresh, reading_epoch, epoch, announced, last_flags;
 static int16_t last_drive;
-static uint8_t packet[TICK_BYTES], packet_bytes;
+static uint8_t packet[TICK_BYTES];
+static volatile uint8_t packet_bytes;
 static uint32_t reload, lockstep_clock, last_clock;
 static uint8_t clock_known;
 
@@ -356,8 +357,12 @@ void board_send(const uint8_t *bytes, uint16_t count)
 
 void board_feed(void) { WATCHDOG_CLEAR = 1; }
 
+/* In the middle of a frame the next byte is awaited awake: an emulated chip sleeps and wakes slowly. */
 void board_rest(void)
 {
+    if (packet_bytes > 0 || station_board_core.received > 0) {
+        return;
+    }
     const uint32_t before = lock();
     if (interrupts == interrupts_seen) {
         __asm volatile("wfi");
