@@ -44,7 +44,7 @@ KINDS: dict[str, tuple[str, dict[str, Any]]] = {
     "prbs": ("A binary sequence that holds all frequencies.", {"amplitude": 50.0, "hold": 0.02, "bits": 9,
                                                                "duration": 10.2, "rest": 0.2}),
     "chirp_burst": ("Bursts of a sine whose frequency rises, each left to ring out.", {
-        "amplitude": 50.0, "f0": 0.5, "f1": 25.0, "length": 2.0, "pause": 1.0, "bursts": 3, "duration": 9.2,
+        "amplitude": 50.0, "f0": 0.5, "f1": 25.0, "length": 2.0, "pause": 1.0, "bursts": 3, "duration": 10.2,
         "rest": 0.2}),
 }
 """Words and defaults of each kind, as in ``station.control.references`` (a test holds the two together)."""
