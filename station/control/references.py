@@ -125,7 +125,7 @@ def prbs(rate: float, amplitude: float = 50.0, hold: float = 0.02, bits: int = 9
 
 def chirp_burst(rate: float, amplitude: float = 50.0, f0: float = 0.5, f1: float = 25.0, length: float = 2.0,
                 pause: float = 1.0, bursts: int = 3, duration: float = 10.2, rest: float = 0.2) -> np.ndarray:
-    """``bursts`` times a sine whose frequency goes from f0 to f1 within ``length``, then ``pause`` at 0; as many as fit.
+    """``bursts`` times a sine whose frequency goes from f0 to f1 within ``length``, then ``pause`` at 0, if they fit.
 
     Each burst rises and falls over a tenth of its length (Tukey window), so that the free decay in the pause is the
     rig's own.  Phase 2 pi (f0 t + (f1 - f0) t^2 / 2 length).
