@@ -3,8 +3,9 @@
     python scripts/bench/loop_emulated.py [--turns 10] [--seconds 60]
 
 Station is the host of both, its log on; the devices are under the real-time scheduler where the system allows it (a
-board's timer is not disturbed by a host's load either; with --ordinary they are not).  Late is what ``loop_paced.py`` calls late: the command did not come in time,
-by the device's own account, ticks that began late on the device itself and those after them counted apart.
+board's timer is not disturbed by a host's load either; with --ordinary they are not).  Late is what ``loop_paced.py``
+calls late: the command did not come in time, by the device's own account, ticks that began late on the device itself
+and those after them counted apart.
 
 Wanted: the late share through the emulated board at most 1.5 times the host board's (or both below 0.05 %), and
 nothing lost: every sample of both boards is received or counted.
