@@ -13,11 +13,17 @@ uint16_t station_crc(uint16_t crc, const uint8_t *bytes, uint16_t length)
     return (uint16_t)value;
 }
 
+/* The three bytes after which the CRC is zero, none of them zero itself. */
 static void write_check(uint16_t crc, uint8_t *to)
 {
-    to[0] = (uint8_t)(0x40u | crc >> 10);
-    to[1] = (uint8_t)(0x40u | (crc >> 5 & 0x1fu));
-    to[2] = (uint8_t)(0x40u | (crc & 0x1fu));
+    uint16_t rest;
+    to[0] = 0;
+    do {
+        to[0]++;
+        rest = station_crc(crc, to, 1);
+    } while (rest < 0x100u || (rest & 0xffu) == 0);
+    to[1] = (uint8_t)(rest >> 8);
+    to[2] = (uint8_t)(rest & 0xffu);
 }
 
 uint16_t station_encode(const uint8_t *body, uint16_t length, uint16_t session, uint8_t *wire)
@@ -61,16 +67,8 @@ uint16_t station_unstuff(uint8_t *frame, uint16_t length)
 
 uint16_t station_decode(uint8_t *frame, uint16_t length, uint16_t session)
 {
-    uint8_t check[STATION_CHECK_BYTES];
-    if (length < STATION_CHECK_BYTES) {
+    if (length < STATION_CHECK_BYTES || station_crc((uint16_t)(STATION_CRC_START ^ session), frame, length) != 0) {
         return 0;
     }
-    const uint16_t stuffed = (uint16_t)(length - STATION_CHECK_BYTES);
-    write_check(station_crc((uint16_t)(STATION_CRC_START ^ session), frame, stuffed), check);
-    for (uint16_t i = 0; i < STATION_CHECK_BYTES; i++) {
-        if (frame[stuffed + i] != check[i]) {
-            return 0;
-        }
-    }
-    return station_unstuff(frame, stuffed);
+    return station_unstuff(frame, (uint16_t)(length - STATION_CHECK_BYTES));
 }

@@ -12,20 +12,30 @@ from station.device.protocol import LIMITS, MESSAGE_OF_CODE, MESSAGES
 
 CRC_START = 0xFFFF
 _FRAME_BYTES = LIMITS["frame_bytes"]
-_CHECK_BYTES = LIMITS["check_bytes"]
+_stuff, _unstuff = cobs.encode, cobs.decode
 _IDENTITY = MESSAGES["identity"].code
 _IDENTITY_PREFIX = 7
 
 
-def _check(crc: int) -> int:
-    """The three bytes that carry a CRC, as one number."""
-    return 0x404040 | (crc & 0xFC00) << 6 | (crc & 0x03E0) << 3 | crc & 0x1F
+def _tail(crc: int) -> bytes:
+    """What follows the stuffed bytes, whose CRC is given: the check and the delimiter."""
+    for salt in range(1, 256):
+        rest = crc_hqx(bytes([salt]), crc)
+        if rest > 0xFF and rest & 0xFF:
+            break
+    return bytes([salt, rest >> 8, rest & 0xFF, 0])
+
+
+_TAILS = tuple(map(_tail, range(1 << 16)))
+"""A table: frames are encoded and decoded within every sample period."""
+_SIZES = tuple(MESSAGE_OF_CODE[code].body_size if code in MESSAGE_OF_CODE else 0 for code in range(256))
+_SCOPED = frozenset(code for code, message in MESSAGE_OF_CODE.items() if message.in_session)
 
 
 def encode(body: bytes, session: int = 0) -> bytes:
     """The frame of a body, delimiter included; ``session`` 0 for frames of scope "link"."""
-    stuffed = cobs.encode(body)
-    return stuffed + (_check(crc_hqx(stuffed, CRC_START ^ session)) << 8).to_bytes(4, "big")
+    stuffed = _stuff(body)
+    return stuffed + _TAILS[crc_hqx(stuffed, CRC_START ^ session)]
 
 
 def decode(frame: bytes, session: int = 0) -> bytes | None:
@@ -34,22 +44,15 @@ def decode(frame: bytes, session: int = 0) -> bytes | None:
     The session number counts for messages of scope "session" alone.  An identity of another protocol version may
     have another length: its first two fields tell.
     """
-    if len(frame) < _CHECK_BYTES + 2:
-        return None
-    message = MESSAGE_OF_CODE.get(frame[1])
-    if message is None:
-        return None
-    stuffed = frame[:-_CHECK_BYTES]
-    crc = crc_hqx(stuffed, CRC_START ^ session if message.in_session else CRC_START)
-    if int.from_bytes(frame[-_CHECK_BYTES:], "big") != _check(crc):
-        return None
     try:
-        body = cobs.decode(stuffed)
-    except cobs.DecodeError:
-        return None
-    if len(body) != message.body_size and (frame[1] != _IDENTITY or len(body) < _IDENTITY_PREFIX):
-        return None
-    return body if body[0] == message.code else None
+        if crc_hqx(frame, CRC_START ^ session if frame[1] in _SCOPED else CRC_START):
+            return None
+        body = _unstuff(frame[:-3])
+        if len(body) == _SIZES[body[0]] or (body[0] == _IDENTITY and len(body) >= _IDENTITY_PREFIX):
+            return body
+    except (cobs.DecodeError, IndexError):
+        pass
+    return None
 
 
 def any_body(frame: bytes) -> bytes | None:
