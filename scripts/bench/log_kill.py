@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from station.runs import load_run
+from station.runs.mcap_read import scan_mcap
 
 HOST = """
 import sys
@@ -59,14 +59,15 @@ def kill_once(path: Path, wait: float) -> tuple[float, int] | None:
             return None
         host.kill()
         killed = time.perf_counter()
+        begun = killed - wait
     finally:
         host.kill()
         host.wait()
         host.stdout.close()
-    run = load_run(path)
-    if not np.array_equal(run.n, np.arange(len(run))):
+    columns = scan_mcap(path).columns
+    if not np.array_equal(columns["n"], np.arange(len(columns["n"]))):
         raise SystemExit(f"{path}: rows are missing inside")
-    return killed - float(run.host_time[-1]), len(run)
+    return killed - float(columns["host_time"][-1] if len(columns["n"]) else begun), len(columns["n"])
 
 
 def main() -> int:
@@ -87,6 +88,8 @@ def main() -> int:
                 again += 1
                 continue
             lost.append(found[0])
+            if found[0] > WANTED:
+                print(f"  kill {len(lost)}: {1e3 * found[0]:.1f} ms, load {os.getloadavg()[0]:.1f}", flush=True)
     times = 1e3 * np.array(lost)
     beyond = int(np.count_nonzero(times > 1e3 * WANTED))
     print(f"{len(lost)} kills, every log readable ({again} hosts ended before their kill: the device faulted); lost: "

@@ -60,11 +60,10 @@ def any_body(frame: bytes) -> bytes | None:
 
     For a device of another protocol: what it sends is not what this Station expects, but it is sent well.
     """
-    stuffed = frame[:-_CHECK_BYTES]
-    if len(stuffed) < 2 or int.from_bytes(frame[-_CHECK_BYTES:], "big") != _check(crc_hqx(stuffed, CRC_START)):
+    if not frame or crc_hqx(frame, CRC_START):
         return None
     try:
-        return cobs.decode(stuffed) or None
+        return _unstuff(frame[:-3]) or None
     except cobs.DecodeError:
         return None
 
