@@ -137,7 +137,7 @@ def station_turn(folder: Path, url: str, ticks: int, rig: Rig | None = None, vie
                 if "in fault" not in str(error):
                     raise
                 faults += 1
-            status = np.array([row[0] for row in logs[-1].rows])
+            status = np.array([row[0] for row in logs[-1].rows], dtype=int)
             latency += [row[1] for row in logs[-1].rows]
             woke = (status & Status.WOKE_LATE) != 0
             aside = woke | np.concatenate(([False], woke[:-1]))
