@@ -1,8 +1,8 @@
 """The native form of a run: one MCAP file of protobuf messages, appended as the run goes.
 
-The file is a header, a metadata record, then small chunks, each on its way to the disk within 25 ms; the first chunk holds both
-message descriptions and the metadata once more.  It can be read to its last whole record whatever happens to the
-rest (``mcap_read.py``).
+The file is a header, a metadata record, then small chunks, each on its way to the disk within 25 ms; the first chunk
+holds both message descriptions and the metadata once more.  It can be read to its last whole record whatever happens to
+the rest (``mcap_read.py``).
 """
 
 from __future__ import annotations
