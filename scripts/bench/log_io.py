@@ -2,7 +2,7 @@
 
     python scripts/bench/log_io.py [--minutes 10]
 
-Rows are written in chunks of 25, as a thread beside a 500 Hz loop does every 50 ms.  The peer is the MCAP library
+Rows are written in chunks of 25, as a thread beside a loop does.  The peer is the MCAP library
 itself: its writer (one message at a time) and its reader with mcap-protobuf-support, in the same run.
 
 Wanted: below 10 us per row; below 4 s from MCAP, below 0.3 s from Parquet.

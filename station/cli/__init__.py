@@ -42,13 +42,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     sys.exit(status)
 
 
+def raise_interrupt() -> None:
+    """KeyboardInterrupt where Ctrl-C has come: before a motor is armed, lest an import has swallowed it."""
+    if _Interruption.last is not None and _Interruption.last.came:
+        raise KeyboardInterrupt
+
+
 class _Interruption:
     """Ctrl-C, told in one line whatever it meets: an import that it turns into another error, a callback that
     swallows it.  Only where this is the main thread and nobody else handles it."""
 
+    last: _Interruption | None = None
+
     def __init__(self, at_the_end: bool = False) -> None:
         """``at_the_end``: the process ends after ``end``, and a Ctrl-C that comes then ends it without a word."""
         self.came = False
+        _Interruption.last = self
         self._after = signal.SIG_DFL if at_the_end else signal.default_int_handler
         self._hook = sys.unraisablehook
         self._installed = False
@@ -72,6 +81,7 @@ class _Interruption:
 
     def end(self) -> None:
         """As it was before."""
+        _Interruption.last = None
         if self._installed:
             sys.unraisablehook = self._hook
             signal.signal(signal.SIGINT, self._after)

@@ -50,13 +50,15 @@ def loopback(
     baud: Baud = None, json: Json = None,
 ) -> None:
     """Check a line and its device, the motor held at zero: identity, rate, losses, latency, and what to do."""
+    from station.device.client import Client
     from station.device.port import open_port
     from station.loop.loopback import loopback as exchange
 
     with open_port(port, baud) as line:
         found = exchange(line, rate, seconds)
+        counters = Client(line).statistics()._asdict()
     if json:
-        write_json(json, asdict(found))
+        write_json(json, {**asdict(found), "counters": counters})
         if json == "-":
             return
     say(f"{'Good' if found.ok else 'Not good'}: {found.identity.board} on {port}")
@@ -72,6 +74,8 @@ def loopback(
     measured = "virtual time" if found.rate_measured is None else f"{found.rate_measured:.3f} Hz by this host's clock"
     say(f"{found.counts.samples} samples at {found.rate:g} Hz ({measured}), "
         f"{100.0 * found.answered:.3f} % answered in time, {found.counts.lost} lost, {found.counts.corrupt} corrupt")
+    shown_counters = (f"{name} {value}" for name, value in counters.items() if name not in ("state", "fault", "status"))
+    say(f"the device's counters: {', '.join(shown_counters)}; last reset: {found.identity.reset_words}")
 
 
 @command(app, "check", PANEL, "station check --port sim://sflr --rig sflr")
@@ -81,11 +85,13 @@ def check(
     baud: Baud = None, json: Json = None,
 ) -> None:
     """Send small pulses either way; say whether motor, encoder and accelerometer work and which way they point."""
+    from station.cli import raise_interrupt
     from station.device.port import open_port
     from station.loop.check import check as check_rig
     from station.rig import load_rig
 
     model = load_rig(rig)
+    raise_interrupt()
     with open_port(port, baud) as line, progress(f"check on {port}") as update:
         found = check_rig(line, model, amplitude, lambda row, rows: update(row / rows))
     if json:

@@ -1,8 +1,8 @@
 """The native form of a run: one MCAP file of protobuf messages, appended as the run goes.
 
-The file is a header, a metadata record, then small chunks, each on disk within 50 ms; the first chunk holds both
-message descriptions and the metadata once more.  It can be read to its last whole record whatever happens to the
-rest (``mcap_read.py``).
+The file is a header, a metadata record, then small chunks, each on its way to the disk within 25 ms; the first chunk
+holds both message descriptions and the metadata once more.  It can be read to its last whole record whatever happens to
+the rest (``mcap_read.py``).
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ class _Pieces:
 class McapLogWriter:
     """Write a run as it goes, off the sample path.
 
-    ``append`` puts a row on a bounded queue and returns; a thread writes the rows every 50 ms and syncs the file once
+    ``append`` puts a row on a bounded queue and returns; a thread writes the rows every 25 ms and syncs the file once
     a second.  No row is ever dropped: where the queue is full, the disk does not keep up, and ``append`` raises
     WorkError, which ends the test; what waits is still written at ``close``.  A run in virtual time, whose device
     waits for the host, waits for the disk instead (``waits`` counts how often).  When the disk fails, the next

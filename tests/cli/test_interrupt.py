@@ -11,22 +11,23 @@ from pathlib import Path
 
 import pytest
 
-from station.cli import _Interruption
+from station.cli import _Interruption, raise_interrupt
 
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="Ctrl-C is sent otherwise on Windows")
 
 READY = """
-import sys
-print("in", flush=True)
-from station.cli import main
-main(sys.argv[1:])
+import station.cli
+run = station.cli._status
+station.cli._status = lambda *given: (print("in", flush=True), run(*given))[1]
+station.cli.main()
 """
+"""What is before (Python's own start, a few milliseconds of imports) shows Python's traceback as ever."""
 
 
 @pytest.mark.parametrize("wait", [0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 0.9, 1.3])
 def test_ctrl_c_at_any_moment_of_the_start_prints_one_line(wait, tmp_path):
-    """From the program's first line on: while it imports, reads the rig, opens the port, compiles, tests."""
+    """From the first line of ``main`` on: while it imports, reads the rig, opens the port, compiles, tests."""
     out = tmp_path / "run.mcap"
     process = subprocess.Popen(
         [sys.executable, "-c", READY, "run", "sweep", "--port", "sim://sflr?speed=1", "--rig", "sflr", "--force",
@@ -53,3 +54,23 @@ def test_an_interrupt_that_a_callback_swallows_is_raised_again():
     finally:
         interruption.end()
     assert interruption.came
+
+
+def test_an_interrupt_that_an_import_swallowed_is_heard_before_a_motor_is_armed(tmp_path):
+    from station.cli.run import perform
+    from station.device.client import Client
+    from station.device.port import open_port
+    from station.loop.sink import MemorySink
+    from station.rig import load_rig
+
+    interruption = _Interruption()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            interruption._handle(signal.SIGINT, None)  # and whoever called it went on
+        with open_port("sim://sflr") as line, pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Client, "arm", lambda self: pytest.fail("armed"))
+            with pytest.raises(KeyboardInterrupt):
+                perform(line, load_rig("sflr"), {"kind": "open"}, {"kind": "pulse"}, MemorySink)
+    finally:
+        interruption.end()
+    raise_interrupt()

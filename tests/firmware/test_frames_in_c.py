@@ -131,3 +131,12 @@ def test_a_count_beyond_the_frames_end_is_refused(length):
         raw = ffi.new("uint8_t[]", bytes([length + beyond] + [1] * (length - 1) + [1, 1, 1, 1]))
         assert lib.station_unstuff(raw, length) == 0
     assert lib.station_unstuff(ffi.new("uint8_t[]", bytes([length] + [1] * (length - 1))), length) == length - 1
+
+
+def test_two_bytes_whose_crc_is_right_are_no_frame(bench):
+    """0xFFFF 0xFFFF brings the CRC to zero, and is shorter than a check."""
+    _, lib = library()
+    assert lib.station_crc(0xFFFF, b"\xff\xff", 2) == 0
+    bench.core.receive(encode(MESSAGES["query"].pack()) + b"\xff\xff\0")
+    assert [name for name, _ in bench.heard()] == ["statistics"]
+    assert bench.statistics().corrupt == 1
