@@ -187,3 +187,10 @@ def test_a_stop_on_a_lost_line_is_no_error(scripted):
     assert not Client(port).halt()
     port.serial.gone = True
     assert not Client(port).halt()
+
+
+def test_an_emulator_that_is_missing_is_told_with_what_to_install(monkeypatch):
+    monkeypatch.setenv("PATH", "/nowhere")
+    error = complaint("qemu://sflr")
+    assert isinstance(error, UsageError) and "apt install qemu-system-arm" in str(error)
+    assert "which rig" in str(complaint("qemu://"))

@@ -14,6 +14,7 @@ from station.device.firmware import firmware_folder
 from tests.firmware.figures import BOARDS, code_lines, image_sizes, object_sizes
 
 CORE = firmware_folder() / "core"
+DOCS = (firmware_folder().parent / "docs" / "firmware.md").read_text(encoding="utf-8")
 STUBS = {"psoc5lp": ("tick_isr",), "arduino_due": ("UART_Handler", "TC3_Handler")}
 IMAGE_BYTES, RAM_BYTES, STACK_BYTES = 24 << 10, 4 << 10, 1 << 10
 needs_arm = pytest.mark.skipif(shutil.which(GCC) is None, reason=f"no {GCC} here")
@@ -49,6 +50,7 @@ def test_every_board_is_one_file_that_implements_one_header(record_property):
         assert [path.name for path in (BOARDS / board).glob("*.c")] == [source.name]
         text = source.read_text(encoding="utf-8")
         assert {name for name in wanted if re.search(rf"^\w+ {name}\([^;)]*\)\s*\{{", text, re.MULTILINE)} == wanted
+        assert f"{code_lines(source)} for `{board}`" in DOCS, board
         record_property("figure", f"{board}: {code_lines(source)} lines of code")
     shared = sum(code_lines(BOARDS / name) for name in ("run.c", "board.h", "ring.h"))
     record_property("figure", f"shared by all boards: {shared} lines; core: "
