@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -71,6 +72,15 @@ def _form(path: Path) -> str:
         return path.suffix.lower()
     header = [line for line in head.splitlines() if line.startswith(b"#")]
     return ".txt" if header and b"\t" in header[-1] else ".csv"
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file; WorkError where it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise WorkError(f"{path}: cannot be read ({error.strerror or error})") from None
 
 
 def load_run(path: str | os.PathLike[str]) -> Run:
