@@ -25,7 +25,7 @@ from station.diagnose.missing import (
 )
 from station.diagnose.result import Evidence
 from station.model.effects import Effect, Stage, catalogue
-from station.model.simulate import Simulation, build, simulate_model
+from station.model.simulate import Simulation, build, by_load, simulate_model
 from station.rig import Rig
 from station.runs.run import Run, RunMetadata
 
@@ -129,7 +129,7 @@ def _pictures(cause: _Cause) -> list[Evidence]:
         return _joint(cause)
     if effect.stage is Stage.COMMAND:
         return _command(cause)
-    if torque and effect.at == "drive":
+    if by_load(cause.extended, effect):
         return _load(cause)
     if torque and effect.picture in ("speed", "angle"):
         return _torque(cause)
@@ -201,18 +201,20 @@ def _torque_in_time(cause: _Cause) -> list[Evidence]:
 
 
 def _load(cause: _Cause) -> list[Evidence]:
-    """Friction in proportion to load: what opposes the motor's motion against the torque in the drive."""
+    """Friction in proportion to load: what opposes the motor's motion against the load on its gears."""
     effect = cause.effect
     assert effect is not None
     found = _estimates(cause, "motor")
-    speed, load = _joined(found, lambda m: m.speed), np.abs(_joined(found, lambda m: m.drive_torque))
+    speed, load = _joined(found, lambda m: m.speed), np.abs(_joined(found, lambda m: m.load))
     moving = np.abs(speed) > 0.02 * np.max(np.abs(speed))
     grid = _grid(load)
     law = None if effect.states else (grid, law_values(cause.extended, effect, 1.0, 0.0, grid))
-    return [_thin(f"Torque that opposes the motor, against the drive's torque: {cause.title}", "load",
-                  "size of the drive's torque (N m)", "torque missing against the motion (N m)", load[moving],
+    load_is = ("the torque in the drive" if cause.extended.drive is not None else
+               "the motor's torque less what acts on the axis from outside (gravity, a beam)")
+    return [_thin(f"Torque that opposes the motor, against the load on its gears: {cause.title}", "load",
+                  "size of the load on the gears (N m)", "torque missing against the motion (N m)", load[moving],
                   (-np.sign(speed) * _joined(found, lambda m: m.torque))[moving], law,
-                  _torque_note(cause, found) + " Rows at rest are left out.")]
+                  _torque_note(cause, found) + f" The load is {load_is}; rows at rest are left out.")]
 
 
 def _joint(cause: _Cause) -> list[Evidence]:
