@@ -1,4 +1,4 @@
-"""The picture of friction by load on a rig without a drive: what is missing lies on the law, against the gears' load."""
+"""The picture of friction by load on a rig without a drive: what is missing lies on the law."""
 
 from __future__ import annotations
 
