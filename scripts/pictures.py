@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Make the pictures of the docs: a diagnosis of the simulated rig, its report and its recording, photographed.
+"""Make the pictures of the docs: a diagnosis of the simulated rig, its report, its recording and a log, photographed.
 
     python scripts/pictures.py [FOLDER]
 
@@ -13,15 +13,22 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from station.control.compensators import Compensator
+from station.control.named import NAMED
+from station.control.references import step
+from station.device.port import open_port
 from station.diagnose.diagnose import diagnose
+from station.loop.run_test import run_test
 from station.model.effects import effect_class
 from station.model.simulate import simulate
 from station.rig import Rig, load_rig
+from station.runs import McapLogWriter
 from station.runs.run import Run, RunMetadata
 from station.view import viewer, web
 from station.view.recording import write_recording
@@ -37,11 +44,11 @@ def runs_of(rig: Rig, seed: int = 7) -> list[Run]:
     """Four tests on a rig with accelerometer noise of two counts: steps, a pulse, a sweep; two seconds each."""
     rng = np.random.default_rng(seed)
     t = np.arange(1000) / rig.sample_rate
-    step = np.where(t < 0.2, 0.0, 1.0)
+    unit = np.where(t < 0.2, 0.0, 1.0)
     pulse = np.where((t > 0.2) & (t < 0.45), 60.0, 0.0) - np.where((t > 1.0) & (t < 1.25), 60.0, 0.0)
     lead = {"kind": "lead", "gain": 20.0, "zero": 31.4159, "pole": 125.6637}
     tests: Sequence[tuple[str, dict[str, Any], np.ndarray]] = (
-        ("step-p", {"kind": "p", "gain": 2.0}, 50.0 * step), ("step-lead", lead, 100.0 * step),
+        ("step-p", {"kind": "p", "gain": 2.0}, 50.0 * unit), ("step-lead", lead, 100.0 * unit),
         ("pulse", {"kind": "open"}, pulse),
         ("sweep", {"kind": "p", "gain": 1.0}, np.round(40.0 * np.sin(2.0 * np.pi * (0.5 + 2.2 * t) * t))))
     runs = []
@@ -66,10 +73,10 @@ def photograph_report(browser: Any, report: Path, folder: Path) -> None:
         page.close()
 
 
-def photograph_recording(browser: Any, recording: Path, folder: Path) -> None:
-    """The recording in the web viewer, as Station serves it."""
+def photograph_in_viewer(browser: Any, files: Sequence[Path], picture: Path) -> None:
+    """Files in Rerun's web viewer, as Station serves it."""
     data, port = viewer.free_port(), viewer.free_port()
-    process = viewer.start(["--serve-web", "--web-viewer-port", str(port), str(recording)], data)
+    process = viewer.start(["--serve-web", "--web-viewer-port", str(port), *map(str, files)], data)
     try:
         with web.serve_page(port, data) as address:
             page = browser.new_page(viewport={"width": 1440, "height": 900})
@@ -77,7 +84,7 @@ def photograph_recording(browser: Any, recording: Path, folder: Path) -> None:
             page.on("response", lambda answer: answered.append(answer.url))
             page.goto(f"{address}&renderer=webgl")
             page.wait_for_timeout(1e3 * VIEWER_SECONDS)
-            page.screenshot(path=folder / "recording.png", timeout=120_000)
+            page.screenshot(path=picture, timeout=120_000)
             page.close()
             outside = [url for url in answered if not url.startswith("http://127.0.0.1:")]
             if outside:
@@ -85,6 +92,14 @@ def photograph_recording(browser: Any, recording: Path, folder: Path) -> None:
     finally:
         process.terminate()
         process.wait()
+
+
+def log_a_test(path: Path) -> None:
+    """A step on the simulated rig, logged as the loop does it, its blueprint beside it."""
+    rig = load_rig("sflr")
+    compensator = Compensator.from_spec(NAMED["lead"], rig.sample_rate, rig.command_limit)
+    with open_port("sim://sflr?noise=1&seed=1") as port:
+        run_test(port, rig, compensator, step(rig.sample_rate), log_sink=partial(McapLogWriter, path))
 
 
 def main() -> None:
@@ -105,7 +120,10 @@ def main() -> None:
         write_recording(recording, result.comparisons, nominal)
         browser = playwright.chromium.launch(executable_path=executable, args=["--no-sandbox", *SOFTWARE_GL])
         photograph_report(browser, report, folder)
-        photograph_recording(browser, recording, folder)
+        photograph_in_viewer(browser, [recording], folder / "recording.png")
+        log = Path(scratch) / "log.mcap"
+        log_a_test(log)
+        photograph_in_viewer(browser, [log, log.with_suffix(".rbl")], folder / "log.png")
         browser.close()
     print(f"{folder}: {', '.join(sorted(p.name for p in folder.glob('*.png')))}")
 

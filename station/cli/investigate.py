@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from station.cli.options import Port, RigName, command
+from station.cli.options import Force, Port, RigName, command
 from station.cli.terminal import console, note, progress, say
 from station.errors import UsageError, WorkError
 
@@ -33,6 +34,9 @@ def investigate(
         "First test, as KIND or KIND:KEY=VALUE,... (keys as in station run, controller too); by default the one that "
         "shows most of the catalogue."))] = None,
     effort: Annotated[Literal["quick", "full"], typer.Option("--effort", help="As in station diagnose.")] = "full",
+    cap: Annotated[float | None, typer.Option("--cap", min=1.0, metavar="COUNTS", help=(
+        "Largest amplitude of any test, besides what the rig's [limits] allow."))] = None,
+    force: Force = False,
 ) -> None:
     """Run tests, each chosen by what those before left open, until it is decided what the simulation gets wrong.
 
@@ -46,7 +50,7 @@ def investigate(
 
     model = load_rig(rig)
     asked = None if first is None else first_test(first, model)
-    kept = Folder(out, model)
+    kept = Folder(out, model, cap, force)
 
     def find(nominal: Rig, runs: list[Run]) -> DiagnosisResult:
         with progress(f"diagnosing {len(runs)} run{'s' if len(runs) > 1 else ''}") as update:
@@ -96,16 +100,33 @@ def first_test(text: str, rig: Rig) -> dict[str, Any]:
     return {**test, "controller": controller}
 
 
+def capped(test: dict[str, Any], open_loop: bool, rig: Rig, cap: float | None) -> dict[str, Any]:
+    """The test with an amplitude (counts) within the cap and the rig's limits.
+
+    In closed loop the reference stays so far within ``limits.travel`` that an overshoot of 60 % does, too.
+    """
+    size = test.get("amplitude")
+    if not isinstance(size, int | float):
+        return test
+    bounds = [math.inf if cap is None else cap]
+    if open_loop:
+        bounds.append(rig.command_limit)
+    elif rig.limits is not None and rig.limits.travel is not None:
+        bounds.append(math.floor(rig.limits.travel / rig.angle_per_count / 1.6))
+    allowed = min(bounds)
+    return test if abs(size) <= allowed else {**test, "amplitude": math.copysign(allowed, size)}
+
+
 class Folder:
     """What an investigation leaves: runs as they are made, and after each the diagnosis and the extended rig."""
 
-    def __init__(self, path: Path, rig: Rig) -> None:
+    def __init__(self, path: Path, rig: Rig, cap: float | None = None, force: bool = False) -> None:
         """Refuse a folder with files in it, before anything is run."""
         if path.exists() and not path.is_dir():
             raise WorkError(f"{path}: is a file; name a folder with --out")
         if path.is_dir() and any(path.iterdir()):
             raise WorkError(f"{path}: holds files already; name a new folder with --out")
-        self.path, self.rig = path, rig
+        self.path, self.rig, self.cap, self.force = path, rig, cap, force
         self.made = 0
         self.found: DiagnosisResult | None = None
         self.files: dict[str, Path] = {}
@@ -119,13 +140,14 @@ class Folder:
         from station.cli.run import perform
         from station.runs import McapLogWriter, load_run
 
+        test = capped(test, controller.get("kind") == "open", self.rig, self.cap)
         self.made += 1
         out = self.path / "runs" / f"{self.made:02d}-{test['kind']}-{controller['kind'].replace('_', '-')}.mcap"
         try:
-            perform(line, self.rig, controller, test, partial(McapLogWriter, out))
+            perform(line, self.rig, controller, test, partial(McapLogWriter, out), force=self.force)
         except (KeyboardInterrupt, WorkError):
             if out.exists():
-                note(f"motor commanded to zero; the rows so far are in {out}")
+                note(f"the rows so far are in {out}")
             raise
         run = load_run(out)
         self.files[run.name] = out

@@ -1,7 +1,5 @@
-"""Frames on the wire: COBS, CRC-16, one zero byte at the end.  No input or output here: bytes in, bytes out.
-
-CRC-16 CCITT (``binascii.crc_hqx``) over the body, started at 0xFFFF XOR the session number, sent high byte first,
-so that the CRC over body and CRC is 0.
+"""Frames on the wire: COBS, three bytes of check, one zero byte at the end.  No input or output here: bytes in, bytes
+out.  firmware/protocol.toml says what the check is.
 """
 
 from __future__ import annotations
@@ -14,35 +12,60 @@ from station.device.protocol import LIMITS, MESSAGE_OF_CODE, MESSAGES
 
 CRC_START = 0xFFFF
 _FRAME_BYTES = LIMITS["frame_bytes"]
+_stuff, _unstuff = cobs.encode, cobs.decode
 _IDENTITY = MESSAGES["identity"].code
 _IDENTITY_PREFIX = 7
 
 
+def _tail(crc: int) -> bytes:
+    """What follows the stuffed bytes, whose CRC is given: the check and the delimiter."""
+    for salt in range(1, 256):
+        rest = crc_hqx(bytes([salt]), crc)
+        if rest > 0xFF and rest & 0xFF:
+            break
+    return bytes([salt, rest >> 8, rest & 0xFF, 0])
+
+
+_TAILS = tuple(map(_tail, range(1 << 16)))
+"""A table: frames are encoded and decoded within every sample period."""
+_SIZES = tuple(MESSAGE_OF_CODE[code].body_size if code in MESSAGE_OF_CODE else 0 for code in range(256))
+_SCOPED = frozenset(code for code, message in MESSAGE_OF_CODE.items() if message.in_session)
+
+
 def encode(body: bytes, session: int = 0) -> bytes:
     """The frame of a body, delimiter included; ``session`` 0 for frames of scope "link"."""
-    return cobs.encode(body + crc_hqx(body, CRC_START ^ session).to_bytes(2, "big")) + b"\0"
+    stuffed = _stuff(body)
+    return stuffed + _TAILS[crc_hqx(stuffed, CRC_START ^ session)]
 
 
 def decode(frame: bytes, session: int = 0) -> bytes | None:
-    """The body of a frame (without its delimiter), or None where COBS, CRC or length do not pass.
+    """The body of a frame (without its delimiter), or None where COBS, check or length do not pass.
 
     The session number counts for messages of scope "session" alone.  An identity of another protocol version may
     have another length: its first two fields tell.
     """
     try:
-        raw = cobs.decode(frame)
+        if crc_hqx(frame, CRC_START ^ session if frame[1] in _SCOPED else CRC_START):
+            return None
+        body = _unstuff(frame[:-3])
+        if len(body) == _SIZES[body[0]] or (body[0] == _IDENTITY and len(body) >= _IDENTITY_PREFIX):
+            return body
+    except (cobs.DecodeError, IndexError):
+        pass
+    return None
+
+
+def any_body(frame: bytes) -> bytes | None:
+    """The body of a frame of scope "link" whose check passes, of whatever message and length; else None.
+
+    For a device of another protocol: what it sends is not what this Station expects, but it is sent well.
+    """
+    if not frame or crc_hqx(frame, CRC_START):
+        return None
+    try:
+        return _unstuff(frame[:-3]) or None
     except cobs.DecodeError:
         return None
-    if len(raw) < 3:
-        return None
-    message = MESSAGE_OF_CODE.get(raw[0])
-    if message is None:
-        return None
-    if len(raw) != message.body_size + 2 and (raw[0] != _IDENTITY or len(raw) < _IDENTITY_PREFIX + 2):
-        return None
-    if crc_hqx(raw, CRC_START ^ session if message.in_session else CRC_START):
-        return None
-    return raw[:-2]
 
 
 class Decoder:

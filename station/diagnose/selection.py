@@ -22,6 +22,7 @@ from station.diagnose.thresholds import (
     SETTLED_SHARE,
     WORTH_A_FIT,
 )
+from station.estimation.dataset import beginning
 from station.estimation.least_squares import LOST, Fit, fit, inherited, weighing_of
 from station.estimation.likelihood import Weighing, block_counts
 from station.estimation.parameters import Causes, Hypothesis, Key, Sizes, parameters
@@ -30,6 +31,8 @@ from station.model.effects import Stage
 
 BEGIN = 0.02
 """Share of all samples that count as independent before anything is known of the errors."""
+BEGINNINGS = (0.1, 0.3, 1.0)
+"""Seconds after the first command: one after the other, a period of the slowest mode of a beam apart."""
 QUICK_STEPS, STEPS = 8, 25
 
 
@@ -103,10 +106,25 @@ def settled(predictor: Predictor, found: Fit, rounds: int = 4) -> Fit:
 
 
 def base_fit(predictor: Predictor) -> Fit:
-    """The best rig without further causes."""
-    space = parameters(predictor.data, Hypothesis(), {})
-    first = Weighing(BEGIN * block_counts(predictor.data, predictor.channel), 1.0)
-    return settled(predictor, fit(predictor, space, first, space.mean.copy(), tolerance=1.0))
+    """The best rig without further causes.
+
+    A beam whose frequency is off swings out of step with its model after a few periods, and the objective has a valley
+    for every period lost.  So fits are begun twice: on whole runs, and on longer and longer stretches after each run's
+    first command, on which nothing is out of step yet.
+    """
+    data = predictor.data
+    space = parameters(data, Hypothesis(), {})
+    first = Weighing(BEGIN * block_counts(data, predictor.channel), 1.0)
+    x, start, offset = space.mean, data.start, data.offset
+    found = [fit(predictor, space, first, x, tolerance=1.0)]
+    with suppress(*LOST):
+        for seconds in BEGINNINGS:
+            part = replace(predictor, data=beginning(data, seconds))
+            begun = fit(part, space, Weighing(BEGIN * block_counts(part.data, part.channel), 1.0), x, start, offset,
+                        tolerance=1.0, iterations=12)
+            x, start, offset = begun.x, begun.start, begun.offset
+        found.append(fit(predictor, space, first, x, start, offset, tolerance=1.0))
+    return settled(predictor, min(found, key=lambda f: f.objective))
 
 
 def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float], None]) -> Selection:

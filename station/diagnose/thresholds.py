@@ -3,9 +3,9 @@
 Tolerances and step lengths of the numerics stand beside their code; what stands here decides what is said.
 """
 
-LOG_PRIOR = -7.0
-"""Log prior odds that any one further cause is present, about one in a thousand: of some forty causes on a rig one in
-twenty-five is then expected to be accused beforehand, and a false alarm costs a lab more than one more test."""
+LOG_PRIOR = -4.4
+"""Log prior odds that any one further cause is present: even odds that anything is missing, shared among the eighty
+or so causes (effects at their places, constants, each of a usual and another sign or angle) that a rig may have."""
 LOG_PRIOR_PARAMETER = -2.5
 """Each further parameter of one effect, beside what the evidence itself asks of it: a law that holds a simpler one must
 earn its parameters (the odds of one in twelve of a test at 3 sigma among three signs and sizes)."""

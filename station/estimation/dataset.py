@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -101,6 +101,15 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
         np.array([float(np.mean(r.encoder[: max(min(rest_rows(r), RESTS), 1)])) * rig.angle_per_count for r in runs]),
         np.array([float(np.mean(r.accel[: max(rest_rows(r), 1)])) if has_accel else 0.0 for r in runs]),
         tuple(groups.index(z) for z in zero_ids), clock_evidence(runs), tuple(segment), np.array(owner))
+
+
+def beginning(data: Dataset, seconds: float) -> Dataset:
+    """The same runs of which only so much counts as follows the first command."""
+    shares = []
+    for run, share in zip(data.runs, data.share, strict=True):
+        end = int(np.argmax(run.command != run.command[0])) + math.ceil(seconds * run.sample_rate)
+        shares.append(np.where(np.arange(share.shape[1]) < end, share, 0.0))
+    return replace(data, share=tuple(shares))
 
 
 def _shares(run: Run, window: slice, noise: float, channels: int) -> np.ndarray:

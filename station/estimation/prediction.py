@@ -22,7 +22,7 @@ from station.estimation.parameters import Parameters
 from station.model.compiled import kernel
 from station.model.effects import Stage
 from station.model.simulate import Model, build, initial_state
-from station.model.stepper import _advance, begin, sense
+from station.model.stepper import advance, advance_plain, begin, is_plain, sense, sense_plain
 from station.rig import Rig
 
 Accuracy = tuple[float, float, float]
@@ -37,16 +37,22 @@ SPAN = math.pi
 @kernel()
 def _predict(plan, state, gain, torque_gain, decay, span, offset, command, measured, predicted, disturbance, work):
     begin(plan, state)
-    d = 0.0
+    d, plain = 0.0, is_plain(plan)
     for row in range(command.size):
-        predicted[0, row], predicted[1, row] = sense(plan, state, offset, False)
+        if plain:
+            predicted[0, row], predicted[1, row] = sense_plain(plan, state, offset)
+        else:
+            predicted[0, row], predicted[1, row] = sense(plan, state, offset, False)
         if torque_gain != 0.0:
             error = min(max(measured[0, row] - predicted[0, row], -span), span)
             for i in range(state.z.size):
                 state.z[i] += gain[i] * error
             d = decay * (d + torque_gain * error)
         disturbance[row] = d
-        _advance(plan, state, command[row], d, work)
+        if plain:
+            advance_plain(plan, state, command[row] + d)
+        else:
+            advance(plan, state, command[row], d, work)
 
 
 def predict(model: Model, observer: Observer, measured: np.ndarray, command: np.ndarray, *, start_angle: float,

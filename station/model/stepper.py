@@ -370,7 +370,7 @@ def sense(plan, state, offset, rounding):
 
 
 @kernel(forceinline=True)
-def _advance(plan, state, command, disturbance, work):
+def advance(plan, state, command, disturbance, work):
     """Hold a command over one period, with ports, delays and filters; ``disturbance``: torque besides, in counts."""
     place = state.clock[1] + 1
     if place == state.commands.size:
@@ -424,6 +424,28 @@ def _advance(plan, state, command, disturbance, work):
     state.clock[0] += 1
 
 
+@kernel(forceinline=True)
+def is_plain(plan):
+    """Whether nothing acts within a period and no sensor is late: a tick is one product of blocks."""
+    return (plan.substeps == 1 and plan.port_joint.size == 0 and plan.slots.shape[0] == 0 and plan.switch < 0
+            and plan.whole_delay == 0 and plan.encoder_delay == 0.0 and plan.accel_delay == 0.0)
+
+
+@kernel(forceinline=True)
+def sense_plain(plan, state, offset):
+    """Encoder and accelerometer at this tick, counts, where ``is_plain``."""
+    angle, accel = _dot2(plan.base_angle, plan.tip_acceleration, state.z)
+    accel += plan.tip_feedthrough * state.last[0]
+    return angle * plan.counts_per_radian, accel * plan.counts_per_acceleration + offset
+
+
+@kernel(forceinline=True)
+def advance_plain(plan, state, command):
+    """Hold a command over one period, where ``is_plain``."""
+    _propagate(plan.phi, plan.held, state.z, command)
+    state.last[0] = command
+
+
 @kernel()
 def begin(plan, state):
     """First look at the sensors: fills the rings so that readings before t = delay are the starting one."""
@@ -437,7 +459,7 @@ def begin(plan, state):
 @kernel()
 def tick(plan, state, command, offset, rounding, work, out):
     """Hold a command to the next tick and read the sensors there: out = encoder, accel (counts)."""
-    _advance(plan, state, command, 0.0, work)
+    advance(plan, state, command, 0.0, work)
     out[0], out[1] = sense(plan, state, offset, rounding)
 
 
@@ -451,15 +473,12 @@ def ticks(plan, state, controller, reference, command, closed, command_row, offs
     seen_encoder, seen_accel = seen
     e, v, y = past
     g, w = past_accel
-    plain = (plan.substeps == 1 and plan.port_joint.size == 0 and plan.slots.shape[0] == 0 and plan.switch < 0
-             and plan.whole_delay == 0 and plan.encoder_delay == 0.0 and plan.accel_delay == 0.0)
+    plain = is_plain(plan)
     z = state.z
     begin(plan, state)
     for row in range(rows):
         if plain:
-            angle, tip = _dot2(plan.base_angle, plan.tip_acceleration, z)
-            tip += plan.tip_feedthrough * state.last[0]
-            encoder[row], accel[row] = angle * plan.counts_per_radian, tip * plan.counts_per_acceleration + offset
+            encoder[row], accel[row] = sense_plain(plan, state, offset)
         else:
             encoder[row], accel[row] = sense(plan, state, offset, False)
         if rounding == NONE:
@@ -498,10 +517,9 @@ def ticks(plan, state, controller, reference, command, closed, command_row, offs
                     out = math.floor(out + 0.5)
             command[row] = out
         if plain:
-            _propagate(plan.phi, plan.held, z, command[row])
-            state.last[0] = command[row]
+            advance_plain(plan, state, command[row])
         else:
-            _advance(plan, state, command[row], 0.0, work)
+            advance(plan, state, command[row], 0.0, work)
     if rounding == ALL:
         for row in range(rows):
             encoder[row], accel[row] = seen_encoder[row], seen_accel[row]

@@ -244,6 +244,24 @@ class _Page:
                 continue
         return ", ".join([f"Station {self.version}", f"Python {platform.python_version()}", *found])
 
+    @property
+    def timing(self) -> list[tuple[str, list[str], str, list[tuple[str, int]]]]:
+        """Of each run whose log tells it: how fast samples were answered (us: median, 99 %, 99.9 %, longest), the
+        share of ticks that had no command in time, and the histogram's filled bins."""
+        found = []
+        for comparison in self.result.comparisons:
+            known = comparison.run.metadata.entries()
+            latency, counts, histogram = (known.get(key) for key in ("latency", "counts", "histogram"))
+            try:
+                times = [f"{1e6 * float(latency[key]):.0f}" for key in ("median", "p99", "p999", "max")]
+                share = f"{100.0 * counts['unanswered'] / max(counts['samples'], 1):.2g} %"
+                bins = [(f"{1e6 * float(edge):.0f}", int(count)) for edge, count in
+                        zip(histogram["edges"], histogram["counts"], strict=True) if count]
+            except (TypeError, KeyError, ValueError):  # another program's log, or an older one
+                continue
+            found.append((comparison.run.name, times, share, bins))
+        return found
+
     @staticmethod
     def describe(comparison: RunComparison) -> dict[str, str]:
         """How a run was made, in words."""

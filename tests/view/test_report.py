@@ -156,3 +156,16 @@ def test_the_next_experiment_is_a_line_to_type_with_what_it_should_show() -> Non
     assert "station run pulse --port PORT --rig RIG --amplitude 25 --duration 2" in Page(html).text
     settled = replace(full, diagnosis=full.diagnosis.model_copy(update={"next_experiment": None}))
     assert 'id="figure-next"' not in report_html(settled) and '"next":{' not in report_html(settled)
+
+
+def test_the_loops_figures_are_shown_where_the_log_tells_them() -> None:
+    found = made.result()
+    assert "How fast samples were answered" not in report_html(found)
+    told = {"latency": {"median": 21e-6, "p99": 64e-6, "p999": 1.5e-4, "max": 2.5e-3},
+            "counts": {"samples": 1000, "unanswered": 5},
+            "histogram": {"edges": [0.0, 20e-6, 50e-6], "counts": [0, 990, 10]}}
+    runs = [replace(c, run=replace(c.run, metadata=c.run.metadata.model_copy(update=told if i == 0 else {
+        "latency": "fast", "counts": 3}))) for i, c in enumerate(found.comparisons)]
+    text = " ".join(Page(report_html(replace(found, comparisons=runs))).texts)
+    assert "How fast samples were answered" in text
+    assert all(word in text for word in ("21", "64", "150", "2500", "0.5 %", "20: 990, 50: 10"))
