@@ -112,12 +112,12 @@ class _Page:
         return self.diagnosis.to_json()
 
     @property
-    def hero_facts(self) -> list[tuple[str, str, str]]:
-        """What the hero's run gets wrong: measure, simulated, measured, in words."""
+    def hero_facts(self) -> list[tuple[str, str]]:
+        """What the hero's run gets wrong: the measure, and simulated against measured, in words."""
         if self.hero is None:
             return []
         shown = (self.hero[0].run.name, self.hero[1])
-        return [wording.measure(w) for w in self.diagnosis.wrong if (w.run, w.channel) == shown][:2]
+        return [wording.fact(w) for w in self.diagnosis.wrong if (w.run, w.channel) == shown][:2]
 
     @property
     def open(self) -> bool:

@@ -205,6 +205,16 @@ def measure(item: Wrong) -> tuple[str, str, str]:
     return f"{CHANNELS[item.channel]} {words}", shown(item.simulated), measured
 
 
+def fact(item: Wrong) -> tuple[str, str]:
+    """One entry of ``wrong`` for a sentence: the measure, and simulated against measured."""
+    what, simulated, measured = measure(item)
+    if item.measured is None and item.measure != "settling_time":
+        return what, simulated
+    if item.measure == "nrmse":
+        return what, f"{simulated}, where {measured}"
+    return what, f"simulated {simulated}, measured {measured}"
+
+
 def test_words(test: dict[str, Any] | None) -> str:
     """A test in words: ``pulse, amplitude 60, duration 2.0``."""
     if not test:

@@ -111,7 +111,9 @@ def test_an_error_stands_beside_what_noise_alone_leaves() -> None:
     item = Wrong(run="a", channel="accel", measure="nrmse", simulated=0.31, measured=0.021)
     assert wording.measure(item) == ("acceleration error", "31.0 % of the signal",
                                       "a right simulation would leave 2.1 %")
-    assert wording.measure(item.model_copy(update={"measured": None}))[2] == "–"
+    assert wording.fact(item)[1] == "31.0 % of the signal, where a right simulation would leave 2.1 %"
+    alone = item.model_copy(update={"measured": None})
+    assert wording.measure(alone)[2] == "–" and wording.fact(alone)[1] == "31.0 % of the signal"
 
 
 def test_an_ambiguous_verdict_speaks_of_the_cause_that_has_rivals() -> None:
