@@ -73,6 +73,8 @@ class MissingTorque:
     """The likeliest step of the random walk per sample, N m (N)."""
     mistrust: float
     """How many times noisier than at rest the accelerometer is taken: above 1 no torque at this place explains it."""
+    by_accel: bool
+    """Whether the accelerometer was used."""
 
 
 class _System(NamedTuple):
@@ -140,7 +142,7 @@ def missing_torque(rig: Rig, run: Run, at: str = "motor", *, accelerometer: bool
             known, forcing, seen = _known(rig, parts, form, laws, motion, load, known, system, excess, period)
     return MissingTorque(run.t, _next(x[:, modes]), np.sqrt(_next(variance)), _between(motion.angle @ port),
                          _between(motion.speed @ port), run.command, _between(motion.speed[:, parts.base]),
-                         _load(rig, parts, motion, reaching, period), step, mistrust)
+                         _load(rig, parts, motion, reaching, period), step, mistrust, use_accel)
 
 
 def port_vector(rig: Rig, parts: Assembly, at: str) -> np.ndarray:

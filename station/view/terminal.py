@@ -29,9 +29,10 @@ def print_diagnosis(result: DiagnosisResult, console: Console, rig: str = "RIG")
         console.print(_table("What the simulation gets wrong", ["run", "measure", "simulated", "measured"],
                              [(w.run, *wording.measure(w)) for w in found.wrong]))
     if found.causes:
-        rows = [(wording.cause_title(c.effect, c.at), wording.probability(c.probability), wording.share(c.stability),
-                 name.replace("_", " "), wording.interval(e)) for c in found.causes for name, e in c.parameters.items()]
-        console.print(_table("Causes", ["cause", "probability", "named in resamples", "parameter",
+        rows = [(wording.cause_title(c.effect, c.at), wording.probability(c.probability),
+                 wording.resamples(c.stability), name.replace("_", " "), wording.interval(e))
+                for c in found.causes for name, e in c.parameters.items()]
+        console.print(_table("Causes", ["cause", "probability", "named in", "parameter",
                                         "value (95 % interval)"], rows))
         for cause in found.causes:
             if rest := wording.rest_sentence(cause):

@@ -68,9 +68,9 @@ def percent(share: float | None) -> str:
     return f"{value:.{decimals}f} %".replace("-", "−")
 
 
-def share(value: float) -> str:
-    """A share of resamples, where all and none are meant as they stand."""
-    return "all" if value > 0.995 else "none" if value < 0.005 else percent(value)
+def resamples(value: float) -> str:
+    """A share of resamples: ``all resamples``, ``93 % of the resamples``."""
+    return "all resamples" if value > 0.995 else f"{percent(value)} of the resamples"
 
 
 def probability(value: float) -> str:

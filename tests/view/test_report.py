@@ -77,7 +77,7 @@ def test_rivals_lose_for_a_stated_reason() -> None:
 
 def test_stability_and_where_the_other_odds_lie_stand_beside_a_cause() -> None:
     text = Page(report_html(made.result())).text
-    assert "98 % probable, named in 93 % of resamples" in text
+    assert "98 % probable, named in 93 % of the resamples" in text
     assert ("The other 1.8 %: sets of causes without it, among them with Stribeck friction at the motor (1.4 %), "
             "dead zone in the amplifier (0.3 %).") in text
 
