@@ -27,7 +27,7 @@ from station.diagnose.result import (
     RunFile,
     Wrong,
 )
-from station.diagnose.selection import EFFORTS, Selection, refined, select
+from station.diagnose.selection import EFFORTS, Selection, fitted, refined, select
 from station.diagnose.thresholds import FEW
 from station.diagnose.validation import (
     gain,
@@ -76,7 +76,8 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     found = odds(search)
     said = stated(found)
     nothing = search.fits[frozenset()]
-    chosen = search.fits.get(said.causes, nothing)
+    chosen = fitted(search, said.causes, found.sets[0][0])
+    said = replace(said, causes=chosen.key)
     best = refined(search, chosen)
     report("judging on runs left out", 0.92)
     left_out = {said.causes: leave_each_out(predictor, search.weighing, best)}

@@ -230,23 +230,33 @@ def _refit(search: Selection, fits: Iterable[Fit], weighing: Weighing,
 
 def _look_back(search: Selection, found: Fit) -> None:
     """Fit every set with one cause less, from where the whole set ended: each cause must hold against its absence."""
-    smaller = []
-    for cause in found.space.hypothesis.causes:
-        hypothesis = found.space.hypothesis.without(cause)
-        centres: Sizes = {k: v for k, v in found.space.values(found.space.mean).items() if k != cause}
-        space = parameters(search.predictor.data, hypothesis, centres)
-        smaller.append((space, space.carried(found.space, found.x)))
-
-    def without(task: tuple) -> Fit | None:
-        space, x = task
-        with suppress(*LOST):
-            return fit(search.predictor, space, search.weighing, x, found.start, found.offset, parallel=False,
-                       iterations=STEPS, renewals=4, tolerance=0.2).light
-        return None
-
-    for one in search.predictor.pool.map(without, smaller):
+    for one in search.predictor.pool.map(lambda cause: _reduced(search, found, found.key - {cause}),
+                                         found.space.hypothesis.causes):
         if one is not None:
             search.keep(one)
+
+
+def _reduced(search: Selection, found: Fit, causes: Causes) -> Fit | None:
+    """Some of a set's causes alone, fitted from where the whole set ended; None where that does not simulate."""
+    hypothesis = found.space.hypothesis
+    for cause in hypothesis.causes:
+        if cause not in causes:
+            hypothesis = hypothesis.without(cause)
+    centres: Sizes = {k: v for k, v in found.space.values(found.space.mean).items() if k in causes}
+    space = parameters(search.predictor.data, hypothesis, centres)
+    with suppress(*LOST):
+        return fit(search.predictor, space, search.weighing, space.carried(found.space, found.x), found.start,
+                   found.offset, parallel=False, iterations=STEPS, renewals=4, tolerance=0.2).light
+    return None
+
+
+def fitted(search: Selection, causes: Causes, whole: Causes) -> Fit:
+    """The fit of some causes of a set, made where the search has not; of nothing where they do not simulate."""
+    if causes not in search.fits:
+        one = _reduced(search, search.fits[whole], causes)
+        if one is not None:
+            search.keep(one)
+    return search.fits.get(causes, search.fits[frozenset()])
 
 
 def _finish(search: Selection) -> None:
