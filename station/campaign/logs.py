@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 
 from station.campaign.outcome import Outcome, Task, diagnosed
 from station.errors import WorkError
 from station.rig import Rig
 from station.runs import load_run
-
-
-def file_hash(path: Path) -> str:
-    """SHA-256 of a file; WorkError where it cannot be read."""
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise WorkError(f"{path}: cannot be read ({error.strerror or error})") from None
+from station.runs.store import file_hash
 
 
 def case(task: Task) -> Outcome:

@@ -22,6 +22,7 @@ from station.campaign.outcome import Key, Outcome, Task
 from station.campaign.summary import title
 from station.errors import UsageError, WorkError
 from station.rig import Rig, builtin_rigs, load_rig
+from station.runs.store import file_hash
 
 MAX_FILE_BYTES = 1 << 20
 MAX_CASES = 100_000
@@ -213,7 +214,7 @@ def _logged(path: Path, key: str, entry: Logs, effort: Effort) -> Task:
     if entry.known is not None:
         known = [_known(path, f"{key}.known.{i}", rig, cause) for i, cause in enumerate(entry.known)]
     try:
-        runs = [{"path": str(file.resolve()), "sha256": logs.file_hash(file)} for file in files]
+        runs = [{"path": str(file.resolve()), "sha256": file_hash(file)} for file in files]
     except WorkError as error:
         raise UsageError(f"{path}: {key}.runs: {error}") from None
     return Task(f"logs-{entry.name}-{effort}", "logs", {

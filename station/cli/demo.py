@@ -50,7 +50,7 @@ def demo(
 
     from station.campaign.hidden import draw
     from station.campaign.simulated import planned
-    from station.cli.diagnosis import save
+    from station.cli.diagnosis import save, with_files
     from station.cli.sealed import Sealed
     from station.cli.views import status_names
     from station.diagnose.diagnose import diagnose
@@ -76,6 +76,7 @@ def demo(
         say("3. Compared with the nominal rig and diagnosed, by five of these runs and the rig file alone")
         with progress("diagnosing") as update:
             result = diagnose(nominal, list(runs.values()), effort, progress=lambda text, share: update(share, text))
+        result = with_files(result, {name: folder / "runs" / f"{name}.mcap" for name in runs})
         save(result, json=folder / "diagnosis.json", report=folder / "report.html", rig=folder / "extended_rig.toml")
         print_diagnosis(result, console())
         say()

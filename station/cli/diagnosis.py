@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -36,11 +38,25 @@ def diagnose(
         need_folder(path)
     nominal = load_rig(rig)
     loaded = load_runs(runs)
+    files = {run.name: path for run, path in zip(loaded, runs, strict=True)}
     with progress("diagnosing") as update:
         result = find(nominal, loaded, effort=effort, progress=lambda text, share: update(share, text))
+    result = with_files(result, files)
     save(result, json=json, report=report, rig=save_rig)
     if json != "-":
         print_diagnosis(result, console(), rig)
+
+
+def with_files(result: DiagnosisResult, files: Mapping[str, Path]) -> DiagnosisResult:
+    """The result with the SHA-256 of every run's file, by which a reader finds the very runs again.
+
+    ``files``: by the run's name; a run that came from no file keeps none.
+    """
+    from station.runs.store import file_hash
+
+    runs = [row.model_copy(update={"file_sha256": file_hash(files[row.run])}) if row.run in files else row
+            for row in result.diagnosis.runs]
+    return replace(result, diagnosis=result.diagnosis.model_copy(update={"runs": runs}))
 
 
 def save(result: DiagnosisResult, *, json: Path | str | None, report: Path | None, rig: Path | None) -> None:

@@ -128,7 +128,8 @@ class Folder:
             raise WorkError(f"{path}: holds files already; name a new folder with --out")
         self.path, self.rig, self.cap, self.force = path, rig, cap, force
         self.made = 0
-        self.found: Investigation | None = None
+        self.found: DiagnosisResult | None = None
+        self.files: dict[str, Path] = {}
 
     def make(self) -> None:
         """Create it."""
@@ -148,21 +149,23 @@ class Folder:
             if out.exists():
                 note(f"the rows so far are in {out}")
             raise
-        return load_run(out)
+        run = load_run(out)
+        self.files[run.name] = out
+        return run
 
     def keep(self, found: Investigation) -> None:
         """Write the last diagnosis and its rig."""
-        from station.cli.diagnosis import save
+        from station.cli.diagnosis import save, with_files
 
-        self.found = found
-        save(found.result, json=self.path / "diagnosis.json", report=None, rig=self.path / "extended_rig.toml")
+        self.found = with_files(found.result, self.files)
+        save(self.found, json=self.path / "diagnosis.json", report=None, rig=self.path / "extended_rig.toml")
 
     def report(self) -> None:
         """Write the report of the last diagnosis, where there is one."""
         if self.found is not None:
             from station.view.report import write_report
 
-            write_report(self.found.result, self.path / "report.html")
+            write_report(self.found, self.path / "report.html")
 
 
 def _tell(kept: Folder, found: Investigation) -> None:

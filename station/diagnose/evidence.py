@@ -25,7 +25,7 @@ from station.diagnose.missing import (
 )
 from station.diagnose.result import Evidence
 from station.model.effects import Effect, Stage, catalogue
-from station.model.simulate import Simulation, build, simulate_model
+from station.model.simulate import Simulation, build, by_load, simulate_model
 from station.rig import Rig
 from station.runs.run import Run, RunMetadata
 
@@ -129,7 +129,7 @@ def _pictures(cause: _Cause) -> list[Evidence]:
         return _joint(cause)
     if effect.stage is Stage.COMMAND:
         return _command(cause)
-    if torque and effect.at == "drive":
+    if by_load(cause.extended, effect):
         return _load(cause)
     if torque and effect.picture in ("speed", "angle"):
         return _torque(cause)
@@ -145,7 +145,14 @@ def _thin(title: str, kind: str, xlabel: str, ylabel: str, x: np.ndarray, y: np.
 
 
 def _estimates(cause: _Cause, at: str, accelerometer: bool = True) -> list[MissingTorque]:
-    return [missing_torque(cause.without, run, at, accelerometer=accelerometer) for run in cause.runs]
+    """Of every run; by the encoder alone where no torque at this place explains the accelerometer of some run.
+
+    Else the beam that the model has wrong would be made up for by torque, and that would bury the law.
+    """
+    found = [missing_torque(cause.without, run, at, accelerometer=accelerometer) for run in cause.runs]
+    if all(m.mistrust == 1.0 for m in found):
+        return found
+    return [missing_torque(cause.without, run, at, accelerometer=False) for run in cause.runs]
 
 
 def _joined(found: Sequence[MissingTorque], pick: Callable[[MissingTorque], np.ndarray]) -> np.ndarray:
@@ -153,8 +160,10 @@ def _joined(found: Sequence[MissingTorque], pick: Callable[[MissingTorque], np.n
 
 
 def _torque_note(cause: _Cause, found: Sequence[MissingTorque]) -> str:
-    return (f"Points: torque smoothed from {_count(cause.runs)} against the extended rig without this effect, its "
-            f"shape not assumed; standard deviation {np.median(_joined(found, lambda m: m.sigma)):.2g} N m, jumps "
+    alone = ("" if cause.extended.accelerometer is None or any(m.by_accel for m in found) else
+             ", by command and encoder alone,")
+    return (f"Points: torque smoothed from {_count(cause.runs)}{alone} against the extended rig without this effect, "
+            f"its shape not assumed; standard deviation {np.median(_joined(found, lambda m: m.sigma)):.2g} N m, jumps "
             "rounded. Line: the fitted law.")
 
 
@@ -201,18 +210,20 @@ def _torque_in_time(cause: _Cause) -> list[Evidence]:
 
 
 def _load(cause: _Cause) -> list[Evidence]:
-    """Friction in proportion to load: what opposes the motor's motion against the torque in the drive."""
+    """Friction in proportion to load: what opposes the motor's motion against the load on its gears."""
     effect = cause.effect
     assert effect is not None
     found = _estimates(cause, "motor")
-    speed, load = _joined(found, lambda m: m.speed), np.abs(_joined(found, lambda m: m.drive_torque))
+    speed, load = _joined(found, lambda m: m.speed), np.abs(_joined(found, lambda m: m.load))
     moving = np.abs(speed) > 0.02 * np.max(np.abs(speed))
     grid = _grid(load)
     law = None if effect.states else (grid, law_values(cause.extended, effect, 1.0, 0.0, grid))
-    return [_thin(f"Torque that opposes the motor, against the drive's torque: {cause.title}", "load",
-                  "size of the drive's torque (N m)", "torque missing against the motion (N m)", load[moving],
+    load_is = ("the torque in the drive" if cause.extended.drive is not None else
+               "the motor's torque less what acts on the axis from outside (gravity, a beam)")
+    return [_thin(f"Torque that opposes the motor, against the load on its gears: {cause.title}", "load",
+                  "size of the load on the gears (N m)", "torque missing against the motion (N m)", load[moving],
                   (-np.sign(speed) * _joined(found, lambda m: m.torque))[moving], law,
-                  _torque_note(cause, found) + " Rows at rest are left out.")]
+                  _torque_note(cause, found) + f" The load is {load_is}; rows at rest are left out.")]
 
 
 def _joint(cause: _Cause) -> list[Evidence]:

@@ -29,6 +29,7 @@ from station.model.assembly import Assembly, torque_input
 from station.model.compiled import njit
 from station.model.effects import Effect, Stage
 from station.model.effects.base import torque_scale
+from station.model.load import axis_load, effective_command
 from station.model.modal import ModalForm, dense, modal_form
 from station.model.simulate import Model, build, controller_arrays, initial_state
 from station.rig import Rig
@@ -66,12 +67,14 @@ class MissingTorque:
     command: np.ndarray
     """Counts, as logged."""
     base_speed: np.ndarray
-    drive_torque: np.ndarray
-    """What the drive carries with the effects that the rig holds, N m; 0 without a drive."""
+    load: np.ndarray
+    """On the gears, with the effects that the rig holds, N m: the drive's torque; without a drive see axis_load."""
     step: float
     """The likeliest step of the random walk per sample, N m (N)."""
     mistrust: float
     """How many times noisier than at rest the accelerometer is taken: above 1 no torque at this place explains it."""
+    by_accel: bool
+    """Whether the accelerometer was used."""
 
 
 class _System(NamedTuple):
@@ -126,6 +129,7 @@ def missing_torque(rig: Rig, run: Run, at: str = "motor", *, accelerometer: bool
     laws = [e for e in rig.effects if e.stage in _TORQUES]
     forcing = np.zeros((len(run.t), system.f.shape[0]))
     known: dict[str, np.ndarray] = {}
+    reaching = effective_command(rig, run.command) if rig.drive is None else run.command
     seen = excess
     passes = PASSES if laws else 1
     for k in range(1, passes + 1):
@@ -134,10 +138,11 @@ def missing_torque(rig: Rig, run: Run, at: str = "motor", *, accelerometer: bool
         x, variance = _smooth(*chosen[:4], system.process(step), system.process(scale), seen, forcing, modes)
         motion = _Motion(driven.angle + x[:, :modes] @ form.basis[:n].T, driven.speed + x[:, :modes] @ form.basis[n:].T)
         if k < passes:
-            known, forcing, seen = _known(rig, parts, form, laws, motion, known, system, excess, period)
+            load = _load(rig, parts, motion, reaching, period)
+            known, forcing, seen = _known(rig, parts, form, laws, motion, load, known, system, excess, period)
     return MissingTorque(run.t, _next(x[:, modes]), np.sqrt(_next(variance)), _between(motion.angle @ port),
                          _between(motion.speed @ port), run.command, _between(motion.speed[:, parts.base]),
-                         _drive_torque(rig, parts, motion, period), step, mistrust)
+                         _load(rig, parts, motion, reaching, period), step, mistrust, use_accel)
 
 
 def port_vector(rig: Rig, parts: Assembly, at: str) -> np.ndarray:
@@ -262,11 +267,12 @@ def law_values(rig: Rig, effect: Effect, x: np.ndarray, v: np.ndarray | float = 
                      for row in zip(*(a.tolist() for a in np.broadcast_arrays(x, v, w)), strict=True)])
 
 
-def held_torque(rig: Rig, at: str, angle: np.ndarray, speed: np.ndarray, drive_torque: np.ndarray,
+def held_torque(rig: Rig, at: str, angle: np.ndarray, speed: np.ndarray, load: np.ndarray,
                 before: np.ndarray | float, h: float) -> np.ndarray:
     """Torque (n) of the rig's own effects on a part that moves so, N m; of joints what differs from spring and damper.
 
-    Dry friction of a part that moves less than a count in REST_ROWS rows is left at 0: the motion does not say it.
+    ``load`` (n): on the gears, N m.  Dry friction of a part that moves less than a count in REST_ROWS rows is left at
+    0: the motion does not say it.
     ``before`` is what was found for this place with the motion at hand: a spring without play is taken at the
     deflection at which it carries the torque that this motion passes on, which the data fix, not the deflection.
     """
@@ -277,7 +283,7 @@ def held_torque(rig: Rig, at: str, angle: np.ndarray, speed: np.ndarray, drive_t
             total += law_values(rig, effect, angle, speed, h=h)
         elif effect.stage is Stage.FRICTION:
             moves = np.abs(speed) > rig.angle_per_count / (REST_ROWS * h)
-            total -= np.sign(speed) * moves * law_values(rig, effect, np.abs(speed), 0.0, np.abs(drive_torque), h)
+            total -= np.sign(speed) * moves * law_values(rig, effect, np.abs(speed), 0.0, np.abs(load), h)
     if any(e.stage is Stage.GAP for e in here):
         joint = getattr(rig, at)
         total += joint.stiffness * angle + joint.damping * speed - joint_torque(rig, at, angle, speed, h)
@@ -316,15 +322,17 @@ def _port_of(rig: Rig, effect: Effect) -> str:
     return effect.at
 
 
-def _drive_torque(rig: Rig, parts: Assembly, motion: _Motion, h: float) -> np.ndarray:
+def _load(rig: Rig, parts: Assembly, motion: _Motion, command: np.ndarray, h: float) -> np.ndarray:
+    """Load on the gears (n), N m; ``command`` as it reaches the motor's gain, counts."""
     if rig.drive is None:
-        return np.zeros(len(motion.angle))
+        moved = np.apply_along_axis(_between, 0, motion.angle), np.apply_along_axis(_between, 0, motion.speed)
+        return axis_load(rig, command, *moved)
     vector = port_vector(rig, parts, "drive")
     return joint_torque(rig, "drive", _between(motion.angle @ vector), _between(motion.speed @ vector), h)
 
 
 def _known(rig: Rig, parts: Assembly, form: ModalForm, laws: list[Effect], motion: _Motion,
-           before: dict[str, np.ndarray], system: _System, excess: np.ndarray,
+           load: np.ndarray, before: dict[str, np.ndarray], system: _System, excess: np.ndarray,
            period: float) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
     """The rig's own torques on a motion, by place; their push on the state (n, size), and the channels without them."""
     channels, modes = excess.shape[1], 2 * form.blocks
@@ -334,8 +342,7 @@ def _known(rig: Rig, parts: Assembly, form: ModalForm, laws: list[Effect], motio
         vector = port_vector(rig, parts, at)
         return _between(motion.angle @ vector), _between(motion.speed @ vector)
 
-    drive = _drive_torque(rig, parts, motion, period)
-    torques = {at: held_torque(rig, at, *between(at), drive, before.get(at, 0.0), period)
+    torques = {at: held_torque(rig, at, *between(at), load, before.get(at, 0.0), period)
                for at in dict.fromkeys(_port_of(rig, e) for e in laws)}
     for at, torque in torques.items():
         held, _, feed = _ports(rig, parts, form, port_vector(rig, parts, at), period, channels)

@@ -150,7 +150,7 @@ def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP) ->
     within = bool(laws) or any(late.values())
     substeps = math.ceil(period / longest - 1e-9) if within else 1
     tables, ports = _Tables(rig), _ports(rig, laws)
-    loaded = any(_by_load(rig, e) for e in laws)
+    loaded = any(by_load(rig, e) for e in laws)
     if loaded and rig.drive is None and rig.beam is not None:
         truncation = 0.0   # the moment at the beam's root is the sum of all modes
     form, plan, dropped = _sampled(tables, ports, period, substeps, delay, truncation)
@@ -165,7 +165,7 @@ def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP) ->
     return Model(rig, _decoupled(tables)[0], form, plan, states, filters, rings, dropped)
 
 
-def _by_load(rig: Rig, effect: Effect) -> bool:
+def by_load(rig: Rig, effect: Effect) -> bool:
     """Whether an effect's law asks for the load on the gears: friction of a drive, or of what stands for it."""
     return effect.stage is Stage.FRICTION and (effect.at == "drive" or rig.drive is None and "drive" in effect.sites)
 

@@ -78,6 +78,15 @@ def _form(path: Path) -> str:
     return ".txt" if header and b"\t" in header[-1] else ".csv"
 
 
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file; WorkError where it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise WorkError(f"{path}: cannot be read ({error.strerror or error})") from None
+
+
 def load_run(path: str | os.PathLike[str]) -> Run:
     """Read a run from any form that Station reads (MCAP, CSV, a laboratory log, Parquet, MAT), told by content.
 

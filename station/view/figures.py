@@ -256,8 +256,8 @@ def _log_x(figure: go.Figure, x: np.ndarray) -> None:
 
 
 def _trim(figure: go.Figure, y: np.ndarray, law: np.ndarray | None) -> None:
-    """Open on the middle 99 % of a cloud, the law included; a double click shows all."""
-    low, high = np.percentile(y, [0.5, 99.5])
+    """Open on the middle 95 % of a cloud, the law included; a double click shows all."""
+    low, high = np.percentile(y, [2.5, 97.5])
     if law is not None and len(law):
         low, high = min(low, float(np.min(law))), max(high, float(np.max(law)))
     if high > low:

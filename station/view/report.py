@@ -14,6 +14,7 @@ import plotly.graph_objects as go
 
 import station
 from station.diagnose.result import DiagnosisResult, Estimate, RunComparison
+from station.diagnose.validation import UNKNOWN_AHEAD
 from station.view import figures, remaining, wording
 from station.view.html import render, script_json, write_page
 
@@ -111,17 +112,44 @@ class _Page:
         return self.diagnosis.to_json()
 
     @property
-    def hero_facts(self) -> list[tuple[str, str, str]]:
-        """What the hero's run gets wrong: measure, simulated, measured, in words."""
+    def hero_facts(self) -> list[tuple[str, str]]:
+        """What the hero's run gets wrong: the measure, and simulated against measured, in words."""
         if self.hero is None:
             return []
         shown = (self.hero[0].run.name, self.hero[1])
-        return [wording.measure(w) for w in self.diagnosis.wrong if (w.run, w.channel) == shown][:2]
+        return [wording.fact(w) for w in self.diagnosis.wrong if (w.run, w.channel) == shown][:2]
 
     @property
     def open(self) -> bool:
         """Whether the runs leave open which cause it is."""
         return self.diagnosis.verdict == "ambiguous"
+
+    @property
+    def unknown_ahead(self) -> float:
+        """Seconds ahead that runs are predicted whose controller is unknown."""
+        return UNKNOWN_AHEAD
+
+    @property
+    def predicted(self) -> list[str]:
+        """Names of the runs that are predicted and not simulated as a whole."""
+        return [c.run.name for c in self.result.comparisons if wording.is_predicted(c.run)]
+
+    @property
+    def ahead_times(self) -> list[str]:
+        """The times ahead that gains are told for."""
+        return list(dict.fromkeys(time for row in self.diagnosis.gain.runs for time in row.ahead))
+
+    @property
+    def any_step(self) -> bool:
+        """Whether a run is a step test."""
+        return any(row.measured for row in self.diagnosis.gain.runs)
+
+    @property
+    def hashes(self) -> dict[str, str | None]:
+        """SHA-256 of the runs' files by the name of the run, or of its half where a run is alone."""
+        kept = {row.run: row.file_sha256 for row in self.diagnosis.runs}
+        names = [c.run.name for c in self.result.comparisons]
+        return {name: kept.get(name, kept.get(name.rsplit(" (", 1)[0])) for name in names}
 
     @property
     def next_rows(self) -> int:
@@ -240,4 +268,5 @@ class _Page:
         run, facts = comparison.run, comparison.run.metadata
         return {"test": wording.test_words(facts.test), "controller": wording.test_words(facts.controller),
                 "samples": f"{len(run.t)} at {run.sample_rate:.0f} Hz", "start": facts.start,
-                "use": "held out" if comparison.held_out else "used in the fit"}
+                "use": ("held out" if comparison.held_out else "used in the fit")
+                + (f", predicted {UNKNOWN_AHEAD:g} s ahead" if wording.is_predicted(run) else "")}

@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from station.diagnose.result import DiagnosisResult, RunComparison
+from station.diagnose.result import Diagnosis, DiagnosisResult, RunComparison
+from station.diagnose.validation import UNKNOWN_AHEAD
 from station.view import remaining, wording
 
 RANKED = 6
@@ -28,19 +29,27 @@ def print_diagnosis(result: DiagnosisResult, console: Console, rig: str = "RIG")
         console.print(_table("What the simulation gets wrong", ["run", "measure", "simulated", "measured"],
                              [(w.run, *wording.measure(w)) for w in found.wrong]))
     if found.causes:
-        rows = [(wording.cause_title(c.effect, c.at), wording.probability(c.probability), name.replace("_", " "),
-                 wording.interval(e)) for c in found.causes for name, e in c.parameters.items()]
-        console.print(_table("Causes", ["cause", "probability", "parameter", "value (95 % interval)"], rows))
+        rows = [(wording.cause_title(c.effect, c.at), wording.probability(c.probability),
+                 wording.resamples(c.stability), name.replace("_", " "), wording.interval(e))
+                for c in found.causes for name, e in c.parameters.items()]
+        console.print(_table("Causes", ["cause", "probability", "named in", "parameter",
+                                        "value (95 % interval)"], rows))
+        for cause in found.causes:
+            if rest := wording.rest_sentence(cause):
+                console.print(_plain(f"{wording.cause_title(cause.effect, cause.at)}: {rest}"))
     for sentence in result.equivalences:
         console.print(_plain(f"{sentence} No test can tell the two apart."))
     if result.ranking:
         named = {(c.effect, c.at) for c in found.causes}
-        console.print(_table("Candidates", ["candidate", "probability", "Δχ²", "gain", "why it stands here"], [
+        console.print(_table("Candidates", ["candidate", "probability", "2 Δln L", "gain", "why it stands here"], [
             (wording.cause_title(c.effect, c.at), wording.probability(c.probability), wording.number(c.delta_chi2),
              wording.percent(c.held_out_gain), wording.why_lost(c, result.ranking[0], (c.effect, c.at) in named))
             for c in result.ranking[:RANKED]]))
     if result.comparisons:
         print_comparison(result.comparisons, console)
+    _print_ahead(found, console)
+    if missing := wording.disturbance(found):
+        console.print(_plain(missing))
     if found.gain.explained_fraction is not None and found.causes:
         gone = f"{wording.explained(found)} of the error above the noise is gone on runs that no fit has seen"
         console.print(wording.sentence(gone))
@@ -61,6 +70,26 @@ def print_comparison(comparisons: Sequence[RunComparison], console: Console) -> 
                       for s in (c.before, c.refit, c.after)]
             rows.append((c.run.name, words, *errors, "held out" if c.held_out else "in the fit"))
     console.print(_table("Error, share of the signal", ["run", "channel", "before", "re-fitted", "after", ""], rows))
+    if any(wording.is_predicted(c.run) for c in comparisons):
+        console.print(f"Runs whose controller is unknown are predicted {UNKNOWN_AHEAD:g} s ahead; the others are "
+                      "simulated as a whole.")
+
+
+def _print_ahead(found: Diagnosis, console: Console) -> None:
+    """The angle predicted a time ahead, and the measures of step tests, before and after."""
+    times = list(dict.fromkeys(time for row in found.gain.runs for time in row.ahead))
+    if not times:
+        return
+    steps = any(row.measured for row in found.gain.runs)
+    columns = ["run", *(f"{time} ahead" for time in times)]
+    rows = []
+    for row in found.gain.runs:
+        gains = [row.ahead.get(time) for time in times]
+        cells = ["–" if g is None else wording.percent(g.nrmse_before)
+                 + (f" → {wording.percent(g.nrmse_after)}" if found.causes else "") for g in gains]
+        rows.append((row.run, *cells, *(wording.step_words(m) for m in (row.measured, row.before, row.after) if steps)))
+    console.print(_table("Angle predicted ahead" + ("; overshoot and settling time" if steps else ""),
+                         columns + (["measured", "before", "after"] if steps else []), rows))
 
 
 def _error(measured: np.ndarray, simulated: np.ndarray) -> float | None:

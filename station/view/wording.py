@@ -23,12 +23,14 @@ if TYPE_CHECKING:
         Wrong,
     )
     from station.rig import Rig
+    from station.runs.run import Run
 
 VERDICTS = {"explained": "explained", "partly_explained": "partly explained", "unexplained": "unexplained",
             "nothing_missing": "nothing missing", "ambiguous": "ambiguous", "not_enough_data": "not enough data"}
 CHANNELS = {"encoder": "angle", "accel": "acceleration"}
-STATES = {"determined": "determined", "at_bound": "at a bound", "traded_off": "traded off against another",
-          "not_excited": "not excited by these runs"}
+STATES = {"determined": "determined by these runs", "at_bound": "at a bound",
+          "traded_off": "known only together with another",
+          "not_excited": "not told by these runs; known only as it was beforehand"}
 
 _PREFIX = "parameter:"
 _INSIDE = {"drive", "clamp", "accelerometer", "encoder", "clock", "amplifier"}
@@ -66,6 +68,11 @@ def percent(share: float | None) -> str:
     return f"{value:.{decimals}f} %".replace("-", "−")
 
 
+def resamples(value: float) -> str:
+    """A share of resamples: ``all resamples``, ``93 % of the resamples``."""
+    return "all resamples" if value > 0.995 else f"{percent(value)} of the resamples"
+
+
 def probability(value: float) -> str:
     """A probability as a percentage that never rounds to certainty."""
     if value < 0.001:
@@ -81,8 +88,13 @@ def interval(estimate: Estimate) -> str:
     digits = 3
     if math.isfinite(high - low) and high > low and value:
         digits = min(6, max(2, 2 + math.floor(math.log10(abs(value)) - math.log10((high - low) / 2.0))))
-    unit = f" {estimate.unit}" if estimate.unit else ""
+    unit = f" {unit_of(estimate)}" if unit_of(estimate) else ""
     return f"{number(value, digits)}{unit} ({number(low, digits)} to {number(high, digits)})"
+
+
+def unit_of(estimate: Estimate) -> str:
+    """The unit as it is written behind a number: none for a pure number."""
+    return "" if estimate.unit == "1" else estimate.unit
 
 
 def is_constant(effect: str) -> bool:
@@ -119,12 +131,29 @@ def titles(causes: Sequence[Cause | Rival | RankedCause], last: str = "and") -> 
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
 
 
+def rest_sentence(cause: Cause) -> str:
+    """Where the probability lies that a cause does not hold; empty where hardly any is left.
+
+    Rivals may stand beside each other in one set, so that theirs may add up to more.
+    """
+    rest = 1.0 - cause.probability
+    if rest < 0.005:
+        return ""
+    words = f"The other {probability(rest)}: sets of causes without it"
+    rivals = [f"{cause_title(r.effect, r.at)} ({probability(r.probability)})" for r in cause.rivals]
+    if not rivals:
+        return f"{words}, none of them with a likely cause in its place."
+    left = rest - sum(r.probability for r in cause.rivals)
+    beside = f"; {probability(left)} with none of these" if left > 0.005 else ""
+    return f"{words}, among them with {', '.join(rivals)}{beside}."
+
+
 def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
     """The verdict as one plain sentence for a student."""
     causes = diagnosis.causes
     if diagnosis.verdict in ("explained", "partly_explained") and causes:
-        ends = {"explained": "only noise and the rig's stated uncertainty remain on unseen runs",
-                "partly_explained": "it comes closer, but more than noise remains"}
+        ends = {"explained": "only noise and the rig's stated uncertainty remain",
+                "partly_explained": "it comes closer on the whole, but more than noise remains"}
         return f"The simulation {_accusation(causes, rig)}; with that put right, {ends[diagnosis.verdict]}."
     if diagnosis.verdict == "ambiguous" and causes:
         first = next((c for c in causes if c.rivals), causes[0])
@@ -135,10 +164,11 @@ def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
                    "but these runs cannot settle it."
         return f"The simulation gets something wrong{certain}, but these runs cannot tell whether it is " \
                f"{titles(rivals, 'or')}."
-    return {"unexplained": "The simulation gets something wrong that no effect known here describes.",
+    return {"unexplained": "The simulation gets something wrong, and no cause known here is named by most resamples "
+                           "of these runs and helps on runs that no fit has seen.",
             "nothing_missing": "Nothing is missing: the simulation agrees with these runs to within noise and "
                                "the rig's stated uncertainty.",
-            "not_enough_data": "These runs are not enough: even a clear cause would not have shown in them.",
+            "not_enough_data": "These runs are not enough: most effects would not have shown in them.",
             }.get(diagnosis.verdict, "The simulation gets something wrong that these runs do not settle.")
 
 
@@ -155,7 +185,7 @@ def _accusation(causes: Sequence[Cause], rig: Rig) -> str:
             path, estimate = constant_path(cause.effect), cause.parameters.get("value")
             values = ""
             if estimate is not None and path in nominal:
-                values = f" ({number(nominal[path])} {estimate.unit} where these runs say {number(estimate.value)})"
+                values = f" ({number(nominal[path])} {unit_of(estimate)} where these runs say {number(estimate.value)})"
             words.append(f"a wrong {constant_title(path)}{values}")
         parts.append(f"has {' and '.join(words)}")
     return " and ".join(parts)
@@ -171,8 +201,18 @@ def measure(item: Wrong) -> tuple[str, str, str]:
         return f"{number(factor * value)}{unit}"
     measured = shown(item.measured)
     if item.measure == "nrmse" and item.measured is not None:
-        measured = f"{percent(item.measured)} by noise alone"
+        measured = f"a right simulation would leave {percent(item.measured)}"
     return f"{CHANNELS[item.channel]} {words}", shown(item.simulated), measured
+
+
+def fact(item: Wrong) -> tuple[str, str]:
+    """One entry of ``wrong`` for a sentence: the measure, and simulated against measured."""
+    what, simulated, measured = measure(item)
+    if item.measured is None and item.measure != "settling_time":
+        return what, simulated
+    if item.measure == "nrmse":
+        return what, f"{simulated}, where {measured}"
+    return what, f"simulated {simulated}, measured {measured}"
 
 
 def test_words(test: dict[str, Any] | None) -> str:
@@ -232,6 +272,30 @@ def gain_rows(diagnosis: Diagnosis) -> list[tuple[str, ChannelGain]]:
     return [(name, gain) for name, gain in pairs if gain is not None]
 
 
+def is_predicted(run: Run) -> bool:
+    """Whether a run's loop was closed by a controller that its log does not name: no whole loop can be simulated."""
+    return run.metadata.controller.get("kind") == "unknown" and not run.open_loop
+
+
+def step_words(measures: dict[str, float | None]) -> str:
+    """Overshoot and settling time of a step test, a dash for other tests."""
+    if not measures:
+        return "–"
+    settling, over = measures.get("settling_time"), measures.get("overshoot_percent")
+    return f"{number(over)} %, " + ("not settled" if settling is None else f"{number(settling)} s")
+
+
+def disturbance(diagnosis: Diagnosis) -> str:
+    """What torque is still missing at the motor, as a sentence; empty where it was not worked out."""
+    found = diagnosis.disturbance
+    if found is None:
+        return ""
+    words = (f"The torque that must be missing at the motor to meet the angle a few hundredths of a second ahead is "
+             f"{percent(found.nominal)} of the command's rms torque with the rig file as it is, "
+             f"{percent(found.refitted)} with its constants re-fitted")
+    return f"{words}, {percent(found.extended)} with the causes." if diagnosis.causes else f"{words}."
+
+
 def why_lost(cause: RankedCause, first: RankedCause | None, named: bool) -> str:
     """Why a candidate stands where it does: its own note, or what the numbers say."""
     if cause.note:
@@ -239,9 +303,9 @@ def why_lost(cause: RankedCause, first: RankedCause | None, named: bool) -> str:
     if named:
         return "named as a cause"
     if cause is first:
-        return "first, but not named by this verdict"
+        return "most probable, but too few resamples name it or it does not help on unseen runs"
     if cause.held_out_gain is not None and cause.held_out_gain <= 0.0:
         return "does not help on unseen runs"
     if first is not None and first.delta_chi2 - cause.delta_chi2 > 4.0:
-        return f"explains less: Δχ² is {number(first.delta_chi2 - cause.delta_chi2)} below the first's"
+        return f"explains less: 2 Δln L is {number(first.delta_chi2 - cause.delta_chi2)} below the first's"
     return "as good as the first on these runs" if cause.probability > 0.1 else "no better than the first"

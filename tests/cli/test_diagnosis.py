@@ -38,6 +38,8 @@ def test_diagnose_writes_what_was_asked_for(station, tmp_path):
     assert diagnosis.verdict in ended.out.replace(" ", "_") or diagnosis.causes
     assert [(cause.effect, cause.at) for cause in diagnosis.causes][:1] == [("dead_zone", "amplifier")]
     assert "Dead zone" in ended.out or "dead zone" in ended.out
+    assert {row.run: row.file_sha256 for row in diagnosis.runs} == {
+        run.stem: hashlib.sha256(run.read_bytes()).hexdigest() for run in runs}
     assert "<html" in report.read_text(encoding="utf-8")[:2000]
     assert any(effect.name == "dead_zone" for effect in load_rig(rig).effects)
 

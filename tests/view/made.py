@@ -13,6 +13,7 @@ from station.diagnose.result import (
     ChannelGain,
     Diagnosis,
     DiagnosisResult,
+    Disturbance,
     Estimate,
     Evidence,
     Gain,
@@ -21,6 +22,8 @@ from station.diagnose.result import (
     RankedCause,
     Rival,
     RunComparison,
+    RunFile,
+    RunGain,
     Wrong,
 )
 from station.model.effects import effect_class
@@ -127,6 +130,7 @@ def result(verdict: str = "explained", rig: Rig | None = None, runs: int = 5) ->
     made = comparisons()[:runs]
     torque = Estimate(value=0.0305, low=0.0291, high=0.0319, unit="N m")
     friction = Cause(effect="coulomb_friction", at="motor", probability=0.982, parameters={"torque": torque},
+                     stability=0.93,
                      rivals=[Rival(effect="stribeck_friction", at="motor", probability=0.014),
                              Rival(effect="dead_zone", at="amplifier", probability=0.003)])
     mass = Cause(effect="parameter:tip.mass", at="", probability=0.91,
@@ -149,7 +153,14 @@ def result(verdict: str = "explained", rig: Rig | None = None, runs: int = 5) ->
     diagnosis = Diagnosis(
         verdict=verdict, causes=causes, wrong=wrong if verdict != "nothing_missing" else [],
         gain=Gain(held_out=[c.run.name for c in made if c.held_out], encoder=encoder, accel=accel,
-                  explained_fraction=0.93 if named else None),
+                  explained_fraction=0.93 if named else None, runs=[RunGain(
+                      run=c.run.name, ahead={"0.1 s": ChannelGain(nrmse_before=0.04, nrmse_after=0.011)},
+                      measured={"overshoot_percent": 24.0, "settling_time": 1.15} if "step" in c.run.name else {},
+                      before={"overshoot_percent": 38.0, "settling_time": None} if "step" in c.run.name else {},
+                      after={"overshoot_percent": 22.0, "settling_time": 1.12} if "step" in c.run.name else {})
+                      for c in made]),
+        runs=[RunFile(run=c.run.name, file_sha256=f"{k:064x}") for k, c in enumerate(made)], effort="full",
+        disturbance=Disturbance(nominal=0.31, refitted=0.22, extended=0.04),
         next_experiment=NextExperiment(
             test={"kind": "pulse", "amplitude": 25, "duration": 2.0},
             why="At small commands friction sticks and a dead zone does not move at all; they differ by 31 counts."))

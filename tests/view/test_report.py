@@ -71,8 +71,33 @@ def test_the_numbers_of_the_diagnosis_stand_in_it() -> None:
 
 def test_rivals_lose_for_a_stated_reason() -> None:
     text = Page(report_html(made.result())).text
-    assert "dead zone in the amplifier 0.3 % 6120 22 % explains less: Δχ² is 2003 below the first's" in text
+    assert "dead zone in the amplifier 0.3 % 6120 22 % explains less: 2 Δln L is 2003 below the first's" in text
     assert "wrong tip mass < 0.1 % 230 −3.0 % does not help on unseen runs" in text
+
+
+def test_stability_and_where_the_other_odds_lie_stand_beside_a_cause() -> None:
+    text = Page(report_html(made.result())).text
+    assert "98 % probable, named in 93 % of the resamples" in text
+    assert ("The other 1.8 %: sets of causes without it, among them with Stribeck friction at the motor (1.4 %), "
+            "dead zone in the amplifier (0.3 %).") in text
+
+
+def test_gains_ahead_step_measures_and_the_missing_torque_stand_in_it() -> None:
+    text = Page(report_html(made.result())).text
+    assert "4.0 % → 1.1 %" in text and "24.0 %, 1.15 s" in text and "38.0 %, not settled" in text
+    assert "31 % of the command's rms torque with the rig file as it is, 22 % with its constants re-fitted, " \
+           "4.0 % with the causes." in text
+    assert f"{2:064x}" in text and "Effort full." in text
+
+
+def test_a_run_whose_controller_is_unknown_is_said_to_be_predicted() -> None:
+    known = made.result()
+    assert "0.5 s ahead" not in Page(report_html(known)).text
+    lost = [replace(c, run=replace(c.run, metadata=c.run.metadata.model_copy(update={
+        "controller": {"kind": "unknown"}}))) for c in known.comparisons]
+    text = Page(report_html(replace(known, comparisons=lost))).text
+    assert "No controller is known for 3 of these runs, so that no whole loop can be simulated: " \
+           "they are predicted 0.5 s ahead" in text
 
 
 def test_what_is_known_to_be_the_same_stands_beside_the_cause() -> None:
@@ -84,8 +109,11 @@ def test_what_is_known_to_be_the_same_stands_beside_the_cause() -> None:
 
 def test_an_error_stands_beside_what_noise_alone_leaves() -> None:
     item = Wrong(run="a", channel="accel", measure="nrmse", simulated=0.31, measured=0.021)
-    assert wording.measure(item) == ("acceleration error", "31.0 % of the signal", "2.1 % by noise alone")
-    assert wording.measure(item.model_copy(update={"measured": None}))[2] == "–"
+    assert wording.measure(item) == ("acceleration error", "31.0 % of the signal",
+                                      "a right simulation would leave 2.1 %")
+    assert wording.fact(item)[1] == "31.0 % of the signal, where a right simulation would leave 2.1 %"
+    alone = item.model_copy(update={"measured": None})
+    assert wording.measure(alone)[2] == "–" and wording.fact(alone)[1] == "31.0 % of the signal"
 
 
 def test_an_ambiguous_verdict_speaks_of_the_cause_that_has_rivals() -> None:
