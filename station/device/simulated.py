@@ -119,7 +119,7 @@ class SimulatedDevice:
         boot = (random.getrandbits(32) if options.seed is None
                 else zlib.crc32(f"{options} {rig.to_toml()}".encode()))
         source = PlantSource(rig, options.angle, options.accel_offset, options.noise, boot)
-        scale = next((effect.ratio for effect in rig.effects if effect.name == "clock_scale"), 1.0)
+        scale = next((effect.values()["ratio"] for effect in rig.effects if effect.name == "clock_scale"), 1.0)
         return cls(rig.name, source, rig.sample_rate, rig.amplifier.limit, options, boot, rig.period * scale)
 
     @property

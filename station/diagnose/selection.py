@@ -183,7 +183,8 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], share: tuple[f
 
 def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened], weighing: Weighing) -> Fit | None:
     """A parent's hypothesis with further causes, a few steps from where screening put them; None where it is lost."""
-    hypothesis, centres, first = parent.space.hypothesis, parent.space.values(parent.space.mean), {}
+    hypothesis, centres = parent.space.hypothesis, parent.space.values(parent.space.mean)
+    first: Sizes = {}
     for one in start:
         hypothesis, centres, first = (hypothesis + one.candidate.hypothesis, {**centres, **one.centre},
                                       {**first, **one.start})

@@ -133,7 +133,7 @@ def run_test(port: Port, rig: Rig, compensator: Compensator, reference: np.ndarr
     compensator.reset(accel_zero)
     arm(client, identity, rig.sample_rate, min(rig.amplifier.limit, compensator.limit), answer_ticks)
     known = metadata.entries() if isinstance(metadata, RunMetadata) else dict(metadata or {})
-    completed = RunMetadata(**{
+    completed = RunMetadata.model_validate({
         "rig": rig.model_dump(exclude_none=True), "controller": compensator.spec, "versions": versions(),
         "firmware": identity.summary(), "zero_id": identity.zero_id, "command_row": -answer_ticks,
         "accel_zero": accel_zero, "accel_sigma": rest.accel_sigma, "start": "released", "rounding": True,

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from station.diagnose.diagnose import diagnose
 from station.diagnose.measures import floor, nrmse, overshoot
-from station.diagnose.noise import noise_sigmas
+from station.estimation.noise import noise_sigmas
 from station.diagnose.result import Cause, Diagnosis, DiagnosisResult, Estimate, Gain, Rival
 from station.errors import StationError, UsageError, WorkError
 from station.rig import Rig, load_rig
