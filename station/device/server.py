@@ -129,11 +129,13 @@ class _Exchange:
 
     def receive(self, timeout: float) -> bytes:
         """Bytes from the active host; b"" where none came within timeout seconds."""
-        watched = [*self._ends, self._listener] if self._listener else self._ends
+        watched: list[_PseudoTerminal | _Connection | socket.socket] = [*self._ends]
+        if self._listener:
+            watched.append(self._listener)
         ready = select.select(watched, [], [], timeout)[0]
         data = b""
         for end in ready:
-            if end is self._listener:
+            if isinstance(end, socket.socket):
                 with contextlib.suppress(OSError):
                     self._ends.append(_Connection(self._listener.accept()[0]))
                 continue
@@ -152,7 +154,7 @@ class _Exchange:
         if self._active is not None:
             self._active.write(data)
 
-    def _drop(self, end: _Connection) -> None:
+    def _drop(self, end: _PseudoTerminal | _Connection) -> None:
         self._ends.remove(end)
         end.close()
         if end is self._active:

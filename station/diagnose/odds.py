@@ -2,8 +2,8 @@
 
 The posterior over sets is averaged over resamples of the runs' stretches (bagged posterior: Huggins and Miller,
 Bayesian Analysis 18, 2023), each stretch weighing as much as a draw of the Bayesian bootstrap says (Rubin, Ann. Stat.
-9, 1981).  Where no model is quite right a posterior of all data is sure of whichever wins by a little; the average is as
-sure as the data would be if they came again.  The share of resamples in which a cause is in the best set is its
+9, 1981).  Where no model is quite right a posterior of all data is sure of whichever wins by a little; the average is
+as sure as the data would be if they came again.  The share of resamples in which a cause is in the best set is its
 stability; it counts the resamples and the runs left out one by one alike.
 """
 

@@ -55,7 +55,7 @@ def read_lab_log(path: str | os.PathLike[str]) -> Run:
     run = Run.from_columns(str(path), path.stem, columns, RunMetadata())
     controller = _controller(path, header, run)
     resting = bool(np.all(run.encoder[:REST_ROWS] == run.encoder[0]))
-    metadata = RunMetadata(
+    metadata = RunMetadata(  # type: ignore[call-arg]  # other keys are kept
         rig="sflr" if any(re.search(r"\bS(FL|LF)R", line) for line in header) else "",
         controller=controller,
         test=guess_test(run.reference, run.sample_rate),

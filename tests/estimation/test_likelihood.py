@@ -81,4 +81,5 @@ def test_a_likelihood_that_counts_too_little_is_not_sharpened() -> None:
 
 def test_directions_that_the_prior_holds_do_not_heat_the_others() -> None:
     """The first is seen and its scores are independent; the second, of which ten copies count, the prior holds."""
-    assert temperature(np.diag([1e4, 1.0]), np.diag([1e4, 100.0]), np.array([1e-6, 1e4])) == pytest.approx(1.0, abs=0.02)
+    found = temperature(np.diag([1e4, 1.0]), np.diag([1e4, 100.0]), np.array([1e-6, 1e4]))
+    assert found == pytest.approx(1.0, abs=0.02)
