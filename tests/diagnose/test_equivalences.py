@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from station.diagnose.odds import Odds
 
 from station.diagnose import equivalences
 from station.diagnose.equivalences import (
@@ -27,6 +26,7 @@ from station.diagnose.equivalences import (
     standing_in,
     with_word,
 )
+from station.diagnose.odds import Odds
 from station.diagnose.result import NextExperiment
 from station.model.effects import effect_class
 from station.model.simulate import build, simulate_model
