@@ -311,7 +311,8 @@ def test_no_test_is_proposed_where_only_equivalents_are_left():
     named, other = frozenset({INPUT}), frozenset({("actuator_lag", "amplifier")})
     found = standing_in(setting(SFLR), named, SFLR.with_effects(late(input=0.003)))
     chosen = NextExperiment(test={"kind": "step"}, why="they differ here")
-    sure, torn = (completed(Odds([(named, p), (other, 1.0 - p)], {INPUT: p}, 0.0, {}), named, found) for p in (0.99, 0.6))
+    sure, torn = (completed(Odds([(named, p), (other, 1.0 - p)], {INPUT: p}, 0.0, {}), named, found)
+                  for p in (0.99, 0.6))
     said = with_word(chosen, "ambiguous", sure, named, found)
     assert said.test is None and found[0].equivalence.sentence in said.why and "hardware" in said.why
     for odds, verdict in ((torn, "ambiguous"), (sure, "partly_explained")):

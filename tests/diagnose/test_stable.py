@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 
-import numpy as np
 import pytest
 
 from station.diagnose.diagnose import diagnose
@@ -45,11 +44,10 @@ def servo() -> Given:
 
 
 def rows(run: Run, kept: slice, name: str | None = None) -> Run:
-    """Some rows of a run, beginning at time 0."""
-    columns = {key: None if value is None else value[kept] for key, value in vars(run).items()
-               if isinstance(value, np.ndarray) or value is None}
+    """Some rows of a run, which none lacks, beginning at time 0."""
+    columns = {key: value[kept] for key, value in run.columns().items() if key not in run.extra and key != "n"}
     columns["t"] = columns["t"] - columns["t"][0]
-    return replace(run, **columns, name=name or run.name)
+    return replace(run, **columns, n=None, extra={}, name=name or run.name)
 
 
 def reversed_order(rig: Rig, runs: tuple[Run, ...]) -> Given:

@@ -134,7 +134,6 @@ def test_where_a_model_reaches_the_noise_errors_are_nearly_all_independent(predi
 
 
 def test_a_start_that_does_not_simulate_is_refused(predictor: Predictor, fitted: Fit, weighing: Weighing) -> None:
-    x = fitted.x.copy()
-    x[:] = np.nan
-    with pytest.raises(ArithmeticError):
-        fit(predictor, fitted.space, weighing, x)
+    """An angle that is not a number stands for a model that has run away."""
+    with pytest.raises(ArithmeticError, match="does not simulate"):
+        fit(predictor, fitted.space, weighing, fitted.x, start=np.full(3, np.nan))

@@ -54,7 +54,7 @@ def test_a_right_model_misses_no_more_than_rounding_at_any_horizon() -> None:
 
 def test_a_known_torque_is_found_by_the_observer() -> None:
     """A constant torque at the motor, unknown to the model, is what the slow observer ends with, in counts."""
-    bias = effect_class("command_bias")(at="amplifier", counts=6.0)
+    bias = effect_class("command_bias")(at="amplifier", offset=6.0)
     run = run_of(AXIS.with_effects([bias]), 60.0, "p2", "x")
     (observer,) = observers(AXIS, 0.0, (0.05,))
     _, torque = predict(build(AXIS, *SEARCH[:2]), observer, np.stack([run.encoder, np.zeros(len(run))]),
