@@ -1,4 +1,4 @@
-"""The measured logs of the flexible arm: read in place, never part of the project."""
+"""Measured logs, of the flexible arm (sflr) and of a small servo (xl330): read in place, never part of the project."""
 
 from __future__ import annotations
 
@@ -15,17 +15,19 @@ LOGS = {
                   "SLFR_RTP_Motor_Comp_Gth.txt",
     "sweep": "swept_sine_kp_1_amp_50.txt",
 }
+SERVO_LOGS = tuple(f"kp{gain}_{goal}.csv" for gain in (100, 400)
+                   for goal in ("sin_sin", "sin_time_square", "up_and_down"))
 
 
-def measured_folder() -> Path:
-    """Where the logs are looked for: ``STATION_MEASURED``, else ``shared/data`` beside the repository."""
+def measured_folder(rig: str = "sflr") -> Path:
+    """Where a rig's logs are looked for: in ``STATION_MEASURED``, else in ``shared/data`` beside the repository."""
     default = Path(__file__).resolve().parents[2] / "shared" / "data"
-    return Path(os.environ.get("STATION_MEASURED", default)) / "sflr"
+    return Path(os.environ.get("STATION_MEASURED", default)) / rig
 
 
-def measured_log(name: str) -> Path:
+def measured_log(name: str, rig: str = "sflr") -> Path:
     """The path of one log, by its short name or its file name; skips the test where the logs are absent."""
-    path = measured_folder() / LOGS.get(name, name)
+    path = measured_folder(rig) / LOGS.get(name, name)
     if not path.is_file():
-        pytest.skip(f"no measured log at {path}; STATION_MEASURED names the folder that holds sflr/")
+        pytest.skip(f"no measured log at {path}; STATION_MEASURED names the folder that holds {rig}/")
     return path

@@ -2,8 +2,8 @@
 
     python scripts/bench/diagnose.py [--seed 3000] [--hidden clean coulomb_friction@motor backlash ...] [--effort full]
 
-Wanted: < 25 s on 2 cores, from the command to the file.  Beside it the floor: the CPU that the simulations inside the
-diagnosis take alone, measured in the same run.  Unix only (resource usage of a child).
+Wanted: < 25 s on 2 cores, from the command to the file.  Beside it the floor: the CPU that the predictions inside the
+fits take alone, measured in the same run.  Unix only (resource usage of a child).
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ WANTED = 25.0
 COUNTED = """
 import json, sys, threading, time
 from station.diagnose.diagnose import diagnose
-from station.diagnose.problem import Problem
+from station.estimation import prediction
 from station.rig import load_rig
 from station.runs import load_run
-lock, spent, calls, plain = threading.Lock(), 0.0, 0, Problem.simulate_run
+lock, spent, calls, plain = threading.Lock(), 0.0, 0, prediction.predict
 def counted(*given, **named):
     global spent, calls
     start = time.thread_time()
@@ -39,11 +39,11 @@ def counted(*given, **named):
     with lock:
         spent, calls = spent + start, calls + 1
     return found
-Problem.simulate_run = counted
+prediction.predict = counted
 runs = [load_run(path) for path in sys.argv[2:]]
 cpu = time.process_time()
 diagnose(load_rig("sflr"), runs, effort=sys.argv[1])
-print(json.dumps({"calls": calls, "simulations": spent, "cpu": time.process_time() - cpu}))
+print(json.dumps({"calls": calls, "predictions": spent, "cpu": time.process_time() - cpu}))
 """
 
 
@@ -69,7 +69,7 @@ def main() -> int:
     parser.add_argument("--effort", choices=["quick", "full"], default="full")
     options = parser.parse_args()
     longest, warm = 0.0, False
-    print(f"{'hidden':28s} {'samples':>7s} {'wall s':>7s} {'CPU s':>7s} {'peak MB':>8s}   simulations alone")
+    print(f"{'hidden':28s} {'samples':>7s} {'wall s':>7s} {'CPU s':>7s} {'peak MB':>8s}   predictions alone")
     for text in options.hidden:
         name, _, at = text.partition("@")
         case = made(blind_task(options.seed, [] if name == "clean" else [(name, at or None)]))
@@ -88,8 +88,8 @@ def main() -> int:
         alone = json.loads(done.stdout.splitlines()[-1])
         longest = max(longest, wall)
         print(f"{text:28s} {sum(map(len, case.runs)):7d} {wall:7.1f} {spent:7.1f} {peak:8.0f}   {alone['calls']} runs "
-              f"simulated in {alone['simulations']:.1f} s of CPU; the diagnosis takes "
-              f"{alone['cpu'] / alone['simulations']:.2f} times that", flush=True)
+              f"predicted in {alone['predictions']:.1f} s of CPU; the diagnosis takes "
+              f"{alone['cpu'] / alone['predictions']:.2f} times that", flush=True)
     print(f"longest {longest:.1f} s, wanted < {WANTED:.0f} s: {'met' if longest < WANTED else 'NOT MET'} "
           f"({os.cpu_count()} cores, load {os.getloadavg()[0]:.1f})")
     return 0 if longest < WANTED else 1

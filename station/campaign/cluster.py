@@ -123,7 +123,8 @@ def over_cluster(work: Work, tasks: Iterable[Task], client: Client) -> Iterator[
     """
     from distributed import as_completed
 
-    source, run, pending = iter(tasks), uuid.uuid4().hex, {}
+    source, run = iter(tasks), uuid.uuid4().hex
+    pending: dict[Any, Any] = {}
     done = as_completed(loop=client.loop, with_results=True, raise_errors=False)
 
     def hand_out() -> None:

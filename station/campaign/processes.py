@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
-from typing import Any
+from typing import Any, cast
 
 from station.campaign.outcome import Task
 
@@ -33,7 +33,7 @@ def over_processes(work: Work, tasks: Iterable[Task], workers: int) -> Iterator[
                     busy[worker.line] = (worker, *waiting.popleft())
                 else:
                     worker.end()
-            for line in wait(list(busy)):
+            for line in cast(list[Connection], wait(list(busy))):
                 worker, task, lost = busy.pop(line)
                 try:
                     answer = line.recv()

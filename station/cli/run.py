@@ -207,7 +207,8 @@ def _command_for(kind: str) -> Callable[..., None]:
         help_ = SWEEP_SPACING if (kind, name) == ("sweep", "spacing") else WORDS[name]
         hints[name] = Annotated[float | None if value is None else type(value), typer.Option(f"--{name}", help=help_)]
         own.append(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=value, annotation=hints[name]))
-    run.__signature__ = inspect.Signature([p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in common] + own)
+    run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in common] + own)
     run.__annotations__ = hints
     run.__doc__ = words
     return run

@@ -149,11 +149,11 @@ class Compensator:
         if kind == "p":
             return cls(dict(spec), limit, np.array([gain]), np.ones(1))
         if kind == "pid":
-            terms = [float(values[key][0]) for key in _FIELDS[kind]]
-            if terms[3] < 0.0 or (terms[2] != 0.0 and terms[3] == 0.0):
+            gain, integral, derivative, filter = (float(values[key][0]) for key in _FIELDS[kind])
+            if filter < 0.0 or (derivative != 0.0 and filter == 0.0):
                 raise UsageError("controller.filter: a time constant above 0 s is wanted, without which Tustin's "
                                  "derivative rings")
-            return cls(dict(spec), limit, *tustin_pid(*terms, sample_rate))
+            return cls(dict(spec), limit, *tustin_pid(gain, integral, derivative, filter, sample_rate))
         zero, pole = float(values["zero"][0]), float(values["pole"][0])
         if 2.0 * sample_rate + pole <= 0.0:
             raise UsageError("controller.pole: too far in the right half plane for this sample rate")

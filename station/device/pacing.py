@@ -93,9 +93,11 @@ class LockstepLine:
 
 
 class Link(Protocol):
-    """The device's end of a line; ``connected``: whether a host is known, or may be, at the other end."""
+    """The device's end of a line."""
 
-    connected: bool
+    @property
+    def connected(self) -> bool:
+        """Whether a host is known, or may be, at the other end."""
 
     def receive(self, timeout: float) -> bytes:
         """Bytes from the host, at once when there are any; b"" when none came within timeout seconds."""

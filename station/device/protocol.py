@@ -82,8 +82,8 @@ class Message:
         """The fields of a body as a named tuple; text without its padding."""
         values = self.struct.unpack(body)[1:]
         if any(field.text_size for field in self.fields):
-            values = [value.rstrip(b"\0").decode("ascii", "replace") if field.text_size else value
-                      for field, value in zip(self.fields, values, strict=True)]
+            values = tuple(value.rstrip(b"\0").decode("ascii", "replace") if field.text_size else value
+                           for field, value in zip(self.fields, values, strict=True))
         return self.values(*values)
 
 

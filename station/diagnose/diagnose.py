@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -182,7 +183,8 @@ def _wrong(runs: Sequence[Run], before: Sequence[Simulation], noise: Sequence[fl
                 found.append((100.0 * abs(peak_m - peak_s) / max(peak_m, 1.0),
                               Wrong(run=run.name, channel="encoder", measure="peak_counts", simulated=peak_s,
                                     measured=peak_m)))
-        for channel, sigma in zip(("encoder", "accel"), noise, strict=True):
+        channels: tuple[Literal["encoder", "accel"], ...] = ("encoder", "accel")
+        for channel, sigma in zip(channels, noise, strict=True):
             m, s = getattr(run, channel), getattr(simulation, channel)
             if m is None or s is None:
                 continue

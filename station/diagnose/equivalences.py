@@ -119,7 +119,8 @@ def dimension(unit: str) -> tuple[int, int, int]:
             if name not in _BASE:
                 raise UnknownUnitError(f"{unit!r}: {name!r} is none of {', '.join(_BASE)}")
             total += sign * int(power or 1) * np.array(_BASE[name])
-    return tuple(int(p) for p in total)
+    torque, length, time = (int(p) for p in total)
+    return torque, length, time
 
 
 def powers(paths: Sequence[str], which: int) -> np.ndarray:

@@ -404,7 +404,8 @@ def _addable(rig: Rig, held: frozenset[Key] = frozenset()) -> list[tuple[str, Ef
         if candidate.effect is None or candidate.key in held or candidate.effect.stage is Stage.CLOCK:
             continue
         guess = candidate.guesses[(len(candidate.guesses) - 1) // 2]
-        found.append((_words(frozenset([candidate.key])), candidate.effect.model_construct(at=candidate.at, **guess)))
+        effect = candidate.effect.model_construct(None, at=candidate.at, **guess)
+        found.append((_words(frozenset([candidate.key])), effect))
     return found
 
 

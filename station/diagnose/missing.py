@@ -259,8 +259,8 @@ def _likeliest(system: _System, scale: float, excess: np.ndarray, forcing: np.nd
     return chosen, math.exp(found.x), mistrust
 
 
-def law_values(rig: Rig, effect: Effect, x: np.ndarray, v: np.ndarray | float = 0.0, w: np.ndarray | float = 0.0,
-               h: float | None = None) -> np.ndarray:
+def law_values(rig: Rig, effect: Effect, x: np.ndarray | float, v: np.ndarray | float = 0.0,
+               w: np.ndarray | float = 0.0, h: float | None = None) -> np.ndarray:
     """An effect's own law along arrays (n), its states carried from row to row; see station.model.effects.base."""
     law, p, s = type(effect).law, effect.arguments(rig), [0.0] * max(effect.states, 1)
     return np.array([law(*row, p, s, rig.period if h is None else h)  # type: ignore[misc]

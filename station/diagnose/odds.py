@@ -131,8 +131,8 @@ def estimates(found: Fit, rougher: Fit | None = None) -> tuple[dict[Key, dict[st
     constants = {}
     for i, path in enumerate(space.paths):
         value, spread = nominal[path] * math.exp(found.logs[i]), math.exp(1.96 * log_sd[i])
-        ends = sorted((value / spread, value * spread))
-        constants[path] = Estimate(value=value, low=ends[0], high=ends[1], unit=UNITS[path],
+        least, most = sorted((value / spread, value * spread))
+        constants[path] = Estimate(value=value, low=least, high=most, unit=UNITS[path],
                                    state=found_states[i].state)
     causes: dict[Key, dict[str, Estimate]] = {}
     for k, coordinate in enumerate(space.coordinates, space.parts["effects"].start):

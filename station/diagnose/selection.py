@@ -186,13 +186,13 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], share: tuple[f
         return begun(predictor, parent, start, search.weighing)
 
     found: dict[Causes, Fit] = {}
-    for k, one in enumerate(predictor.pool.map(quick, starts)):
+    for k, begun_fit in enumerate(predictor.pool.map(quick, starts)):
         progress(f"tried {' + '.join(s.candidate.hypothesis.label for s in starts[k])}",
                  share[0] + (share[1] - share[0]) * 0.6 * (k + 1) / len(starts))
-        if one is not None:
-            search.keep(one)
-            if one.key not in found or one.objective < found[one.key].objective:
-                found[one.key] = one
+        if begun_fit is not None:
+            search.keep(begun_fit)
+            if begun_fit.key not in found or begun_fit.objective < found[begun_fit.key].objective:
+                found[begun_fit.key] = begun_fit
     ranked = sorted(found.values(), key=lambda f: -search.score(f))[: effort.finished]
     _refit(search, [search.fits[f.key] for f in ranked], search.weighing,
            lambda k, label: progress(f"fitted {label}",
@@ -201,7 +201,8 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], share: tuple[f
 
 def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened], weighing: Weighing) -> Fit | None:
     """A parent's hypothesis with further causes, a few steps from where screening put them; None where it is lost."""
-    hypothesis, centres, first = parent.space.hypothesis, parent.space.values(parent.space.mean), {}
+    hypothesis, centres = parent.space.hypothesis, parent.space.values(parent.space.mean)
+    first: Sizes = {}
     for one in start:
         hypothesis, centres, first = (hypothesis + one.candidate.hypothesis, {**centres, **one.centre},
                                       {**first, **one.start})

@@ -88,7 +88,8 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
     groups = list(dict.fromkeys(zero_ids := [r.metadata.zero_id or f"own {i}" for i, r in enumerate(runs)]))
     total = sum(len(r.t) / r.sample_rate for r in runs)
     length = max(SEGMENT, total / SEGMENTS)
-    segment, owner = [], []
+    segment: list[np.ndarray] = []
+    owner: list[int] = []
     for i, run in enumerate(runs):
         count = max(round(len(run.t) / run.sample_rate / length), 1)
         segment.append(len(owner) + np.arange(len(run.t)) * count // len(run.t))

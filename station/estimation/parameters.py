@@ -159,7 +159,7 @@ class Parameters:
         for held, value in zip(self.held, x[self.parts["held"]], strict=True):
             own[held.effect] = own[held.effect].model_copy(
                 update={held.name: held.nominal * math.exp(held.sigma * value)})
-        effects = [cls.model_construct(at=at, **_ordered(self.values(x)[cls.name, at]))
+        effects = [cls.model_construct(None, at=at, **_ordered(self.values(x)[cls.name, at]))
                    for cls, at in self.hypothesis.effects]
         return rig.with_effects((*own, *effects)) if effects or self.held else rig
 

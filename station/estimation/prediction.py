@@ -109,7 +109,7 @@ class Predictor:
         """Every run's predictions; ``parallel`` not from one of the pool's threads."""
         model = self.model(space, x)
         return list((self.pool.map if parallel else map)(
-            lambda r: self.run(model, space, x, r, start[r], offset[r]), range(len(self.data.runs))))
+            lambda r: self.run(model, space, x, r, float(start[r]), float(offset[r])), range(len(self.data.runs))))
 
 
 def angle_that_reads(rig: Rig, reading: float, zero: float) -> float:

@@ -174,7 +174,7 @@ def run_test(port: Port, rig: Rig, compensator: Compensator, reference: np.ndarr
     clock = HostClock()
     limit = min(rig.command_limit, compensator.limit)
     known = metadata.entries() if isinstance(metadata, RunMetadata) else dict(metadata or {})
-    completed = RunMetadata(**{
+    completed = RunMetadata.model_validate({
         "rig": rig.model_dump(exclude_none=True), "controller": compensator.spec,
         "coefficients": coefficients(compensator), "versions": versions(),
         "firmware": identity.summary(), "zero_id": identity.zero_id, "command_row": -answer_ticks,

@@ -22,11 +22,12 @@ class Spread:
     max: float
 
     @classmethod
-    def of(cls, values: Sequence[float]) -> Spread:
+    def of(cls, values: Sequence[float] | np.ndarray) -> Spread:
         """Of at least one value; all zero where there is none."""
         if not len(values):
             return cls(0.0, 0.0, 0.0, 0.0)
-        return cls(*(float(v) for v in np.percentile(values, (50.0, 99.0, 99.9))), float(np.max(values)))
+        median, p99, p999 = (float(v) for v in np.percentile(values, (50.0, 99.0, 99.9)))
+        return cls(median, p99, p999, float(np.max(values)))
 
     def as_dict(self) -> dict[str, float]:
         """For metadata and JSON."""

@@ -129,7 +129,7 @@ def _decouple(a: np.ndarray, assembly: Assembly) -> ModalForm | None:
         return None
     one, other = reals.reshape(-1, 2).T
     kind = np.array(kinds + [PAIR] * pairs.size + [REAL] * one.size)
-    eigenvalues = np.concatenate([
+    all_values = np.concatenate([
         np.array(eigenvalues, dtype=complex).reshape(-1, 2), np.stack([values[pairs], values[pairs].conj()], axis=1),
         np.stack([values[one].real, values[other].real], axis=1)])
     basis = np.concatenate([*firsts, vectors[:, pairs].real, vectors[:, one].real,
@@ -138,7 +138,7 @@ def _decouple(a: np.ndarray, assembly: Assembly) -> ModalForm | None:
         inverse = np.linalg.inv(basis)
     except np.linalg.LinAlgError:
         return None
-    form = ModalForm(kind, eigenvalues, basis, inverse)
+    form = ModalForm(kind, all_values, basis, inverse)
     blocks = form.function(lambda z: z, 1.0)
     error = np.linalg.norm(basis @ apply(blocks, inverse) - a) / np.linalg.norm(a)
     return form if error < 1e-7 else None

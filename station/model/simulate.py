@@ -240,7 +240,9 @@ def _truncate(rig: Rig, parts: Assembly, form: ModalForm, inputs: list[np.ndarra
 
 
 def _slots(rig: Rig, laws: list[Effect], ports: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-    rows, arguments, states = [], [], 0
+    rows: list[tuple[int, int, int, int, int]] = []
+    arguments: list[float] = []
+    states = 0
     counts = np.zeros(stepper.STAGES, dtype=np.int64)
     for effect in laws:
         place, side = effect.at, -1 if effect.at == "base" else 1

@@ -55,7 +55,7 @@ def read_lab_log(path: str | os.PathLike[str]) -> Run:
     run = Run.from_columns(str(path), path.stem, columns, RunMetadata())
     controller = _controller(path, header, run)
     resting = bool(np.all(run.encoder[:REST_ROWS] == run.encoder[0]))
-    metadata = RunMetadata(
+    metadata = RunMetadata(  # type: ignore[call-arg]  # other keys are kept
         rig="sflr" if any(re.search(r"\bS(FL|LF)R", line) for line in header) else "",
         controller=controller,
         test=guess_test(run.reference, run.sample_rate),
@@ -124,7 +124,7 @@ def lead_of_tustin(num: Polynomial, den: Polynomial, sample_rate: float) -> dict
     gain, zero, pole = (b0 - b1) / (1.0 - a1), k * (b0 + b1) / (b0 - b1), k * (1.0 + a1) / (1.0 - a1)
     for digits in (2, 3, 4, 5):
         for unit in (math.pi, 1.0):
-            guess = (_round(gain, digits), *(unit * _round(root / unit, digits) for root in (zero, pole)))
+            guess = _round(gain, digits), unit * _round(zero / unit, digits), unit * _round(pole / unit, digits)
             n, d = tustin_lead(*guess, sample_rate)
             if np.all(np.abs(n - num.values) <= num.rounding) and abs(d[1] - a1) <= den.rounding:
                 return dict(zip(("gain", "zero", "pole"), guess, strict=True))

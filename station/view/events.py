@@ -32,7 +32,7 @@ def find_events(run: Run, limit: float, status_names: Mapping[int, str] | None =
                                     f"command up to {np.abs(run.command[first:last]).max():.0f} counts")
                for first, last in _stretches(still) if last - first >= STUCK_SECONDS * rate]
     if run.slack is not None:
-        events += [Event(row, "WARN", f"answered {-1e3 * run.slack[row]:.1f} ms late")
+        events += [Event(int(row), "WARN", f"answered {-1e3 * run.slack[row]:.1f} ms late")
                    for row in np.flatnonzero(np.nan_to_num(run.slack, nan=1.0) < 0.0)]
     if run.n is not None:
         lost = np.diff(run.n) - 1

@@ -157,7 +157,8 @@ def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
         return f"The simulation {_accusation(causes, rig)}; with that put right, {ends[diagnosis.verdict]}."
     if diagnosis.verdict == "ambiguous" and causes:
         first = next((c for c in causes if c.rivals), causes[0])
-        rivals, others = [first, *first.rivals[:2]], [c for c in causes if c is not first]
+        rivals: list[Cause | Rival] = [first, *first.rivals[:2]]
+        others = [c for c in causes if c is not first]
         certain = f" besides {titles(others)}" if others else ""
         if len(rivals) == 1:
             return f"The simulation gets something wrong{certain}; {titles(rivals)} would explain it, " \

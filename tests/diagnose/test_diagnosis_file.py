@@ -9,9 +9,9 @@ from pydantic import ValidationError
 
 from station.diagnose.diagnose import diagnose
 from station.diagnose.measures import floor, nrmse, overshoot
-from station.diagnose.noise import noise_sigmas
 from station.diagnose.result import Cause, Diagnosis, DiagnosisResult, Estimate, Gain, Rival
 from station.errors import StationError, UsageError, WorkError
+from station.estimation.noise import noise_sigmas
 from station.rig import Rig, load_rig
 from station.runs.run import Run, RunMetadata
 from tests.truth import CONTROLLERS, RIGID_AXIS, SFLR, Conditions, pulse_test, simulate_case, step_test
@@ -82,21 +82,22 @@ def strict(text: str) -> dict:
 def test_the_file_has_the_contracts_keys(diagnoses, name):
     runs, result = diagnoses(name)
     said = strict(result.diagnosis.to_json())
-    assert set(said) == {"schema", "verdict", "wrong", "causes", "gain", "next_experiment"}
+    assert set(said) == {"schema", "verdict", "wrong", "causes", "gain", "next_experiment", "disturbance", "ranking",
+                         "rig", "runs", "effort", "version"}
     assert said["schema"] == "station-diagnosis/1" and said["verdict"] in VERDICTS
     names = {run.name for run in runs}
     for row in said["wrong"]:
         assert {"run", "channel", "measure", "simulated", "measured"} <= set(row)
         assert row["run"] in names and row["channel"] in ("encoder", "accel")
     for cause in said["causes"]:
-        assert set(cause) == {"effect", "at", "probability", "parameters", "rivals"}
-        assert 0.0 < cause["probability"] <= 1.0
+        assert set(cause) == {"effect", "at", "probability", "parameters", "stability", "rivals"}
+        assert 0.0 < cause["probability"] <= 1.0 and 0.0 <= cause["stability"] <= 1.0
         assert cause["parameters"]
         for estimate in cause["parameters"].values():
             assert {"value", "low", "high", "unit"} <= set(estimate)
         for rival in cause["rivals"]:
             assert set(rival) == {"effect", "at", "probability"} and 0.0 <= rival["probability"] <= 1.0
-    assert {"held_out", "encoder", "accel", "explained_fraction"} <= set(said["gain"])
+    assert {"held_out", "encoder", "accel", "explained_fraction", "runs"} <= set(said["gain"])
     assert set(said["gain"]["held_out"]) <= names
     for channel in ("encoder", "accel"):
         assert said["gain"][channel] is None or set(said["gain"][channel]) == {"nrmse_before", "nrmse_after"}

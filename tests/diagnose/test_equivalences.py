@@ -26,7 +26,7 @@ from station.diagnose.equivalences import (
     standing_in,
     with_word,
 )
-from station.diagnose.posterior import Odds
+from station.diagnose.odds import Odds
 from station.diagnose.result import NextExperiment
 from station.model.effects import effect_class
 from station.model.simulate import build, simulate_model
@@ -285,7 +285,7 @@ def test_the_others_on_the_scale_are_rivals_of_the_gain():
     scale = {parameter(p) for p, power in zip(paths, powers(paths, 0), strict=True) if power}
     assert bound == scale - {GAIN}
     other, held = ("dead_zone", "amplifier"), ("coulomb_friction", "motor")
-    odds = completed(Odds([(causes, 0.9), (frozenset({other}), 0.08), (frozenset({held}), 0.02)], {}, 0.0), causes,
+    odds = completed(Odds([(causes, 0.9), (frozenset({other}), 0.08), (frozenset({held}), 0.02)], {}, 0.0, {}), causes,
                      found)
     said = {(r.effect, r.at): r.probability for r in rivals(odds, causes, GAIN, found)}
     assert set(said) == bound | {other, held} and said.pop(other) == pytest.approx(0.08)
@@ -297,13 +297,13 @@ def test_odds_of_two_sides_stand_as_the_prior_says():
     pair, three = frozenset({INPUT, ENCODER}), frozenset({ENCODER, ACCEL})
     whole = SFLR.with_effects(late(input=0.003, encoder=0.0015))
     found = standing_in(setting(SFLR), pair, whole)
-    odds = completed(Odds([(pair, 0.98), (frozenset(), 0.02)], {INPUT: 0.98, ENCODER: 0.98}, 0.02), pair, found)
+    odds = completed(Odds([(pair, 0.98), (frozenset(), 0.02)], {INPUT: 0.98, ENCODER: 0.98}, 0.02, {}), pair, found)
     assert odds.causes[INPUT] == pytest.approx(odds.causes[ACCEL])
     assert dict(odds.sets)[three] == pytest.approx(dict(odds.sets)[pair])
     assert sum(p for _, p in odds.sets) == pytest.approx(1.0)
     lone = frozenset({INPUT})
     found = standing_in(setting(SFLR), lone, SFLR.with_effects(late(input=0.003)))
-    odds = completed(Odds([(lone, 0.98), (frozenset(), 0.02)], {INPUT: 0.98}, 0.02), lone, found)
+    odds = completed(Odds([(lone, 0.98), (frozenset(), 0.02)], {INPUT: 0.98}, 0.02, {}), lone, found)
     assert odds.causes[INPUT] == pytest.approx(0.98, abs=0.001) and 0.0 < odds.causes[ACCEL] < FLOOR
 
 
@@ -311,7 +311,8 @@ def test_no_test_is_proposed_where_only_equivalents_are_left():
     named, other = frozenset({INPUT}), frozenset({("actuator_lag", "amplifier")})
     found = standing_in(setting(SFLR), named, SFLR.with_effects(late(input=0.003)))
     chosen = NextExperiment(test={"kind": "step"}, why="they differ here")
-    sure, torn = (completed(Odds([(named, p), (other, 1.0 - p)], {INPUT: p}, 0.0), named, found) for p in (0.99, 0.6))
+    sure, torn = (completed(Odds([(named, p), (other, 1.0 - p)], {INPUT: p}, 0.0, {}), named, found)
+                  for p in (0.99, 0.6))
     said = with_word(chosen, "ambiguous", sure, named, found)
     assert said.test is None and found[0].equivalence.sentence in said.why and "hardware" in said.why
     for odds, verdict in ((torn, "ambiguous"), (sure, "partly_explained")):

@@ -12,8 +12,9 @@ import pytest
 
 from station.diagnose.candidates import candidates
 from station.diagnose.diagnose import diagnose
-from station.diagnose.heldout import simulate_all
-from station.diagnose.problem import Hypothesis, Problem
+from station.diagnose.validation import simulate_runs
+from station.estimation.dataset import dataset
+from station.estimation.parameters import Hypothesis, parameters
 from station.model.effects import catalogue, load_effects
 from station.model.simulate import build, simulate_model
 from station.rig import Rig
@@ -81,9 +82,9 @@ def test_the_script_measures_the_rig_that_it_hides(script, tmp_path):
     assert len({run.metadata.zero_id for run in runs}) == 1
     errors = {}
     for text in (script.RIG, script.HIDDEN):
-        problem = Problem(Rig.from_toml(text), runs)
-        layout = problem.layout(Hypothesis(), {})
-        made = simulate_all(problem, layout, np.zeros(layout.size), problem.start, problem.offset)
+        data = dataset(Rig.from_toml(text), runs)
+        space = parameters(data, Hypothesis(), {})
+        made = simulate_runs(data, space, np.zeros(space.size), data.start, data.offset)
         errors[text] = [np.abs(run.encoder - one.encoder).max() for run, one in zip(runs, made, strict=True)]
     assert max(errors[script.HIDDEN]) < 2.0 and max(errors[script.RIG]) > 20.0
     said = script.told({"verdict": "unexplained", "causes": [], "gain": {"encoder": {

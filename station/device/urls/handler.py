@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Any, ClassVar
 from urllib.parse import parse_qsl, unquote
 
 from serial.serialutil import PortNotOpenError, SerialBase, SerialException
@@ -29,7 +29,7 @@ def parse_url(url: str, scheme: str, others: frozenset[str] = frozenset()) -> tu
     """
     name, _, query = url[len(scheme) + 3:].partition("?")
     rest: dict[str, str] = {}
-    options: dict[str, object] = {}
+    options: dict[str, Any] = {}
     for key, text in parse_qsl(query, keep_blank_values=True):
         if key in others:
             rest[key] = text
@@ -56,6 +56,7 @@ class DeviceSerial(SerialBase):
 
     BAUDRATES: ClassVar = SerialBase.BAUDRATES
     make_device: Callable[[str], SimulatedDevice]
+    is_open: bool
     _line: LockstepLine | PacedLine | None = None
 
     def open(self) -> None:

@@ -100,7 +100,7 @@ def parameter(unit: str, low: float = -math.inf, high: float = math.inf, *, neut
     """Declare a parameter as a pydantic field that carries its ParameterInfo."""
     info = ParameterInfo(unit, low, high, neutral, periodic)
     return Field(ge=low, le=high, allow_inf_nan=neutral is not None and math.isinf(neutral),
-                 json_schema_extra={"info": info})  # type: ignore[arg-type]
+                 json_schema_extra={"info": info})  # type: ignore[dict-item]
 
 
 class Effect(BaseModel):
@@ -146,7 +146,7 @@ class Effect(BaseModel):
     @classmethod
     def parameters(cls) -> dict[str, ParameterInfo]:
         """Parameters in the order of their declaration."""
-        return {name: field.json_schema_extra["info"]  # type: ignore[index,call-overload]
+        return {name: field.json_schema_extra["info"]  # type: ignore[misc,index,call-overload]
                 for name, field in cls.model_fields.items() if name != "at"}
 
     @model_validator(mode="after")
@@ -196,10 +196,10 @@ def _problems(cls: type[Effect]) -> Iterator[str]:
         if other.name == cls.name and (other.__module__, other.__qualname__) != (cls.__module__, cls.__qualname__):
             yield f"the name is taken by {other.__module__}.{other.__qualname__}"
     for field_name, field in cls.model_fields.items():
-        info = (field.json_schema_extra or {}).get("info")  # type: ignore[union-attr]
+        info: Any = (field.json_schema_extra or {}).get("info")  # type: ignore[union-attr]
         if field_name != "at" and info is None:
             yield f"{field_name} is not declared by parameter(unit, low, high)"
-        elif info is not None and not UNIT.fullmatch(info.unit):  # type: ignore[union-attr]
+        elif info is not None and not UNIT.fullmatch(info.unit):
             yield f"{field_name}: a unit is made of N, kg, m, s, rad, rev and counts, not {info.unit!r}"
     if not isinstance(getattr(cls, "stage", None), Stage):
         yield "no stage; one of Stage is wanted"

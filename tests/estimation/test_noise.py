@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from station.diagnose.noise import ACCEL_DEFAULT, RESTING, noise_sigmas, rest_rows, rounding_shares
+from station.estimation.noise import ACCEL_DEFAULT, RESTING, noise_sigmas, rest_rows, rounding_shares
 from station.runs.run import Run, RunMetadata
 
 

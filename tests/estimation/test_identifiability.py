@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from station.diagnose.problem import Hypothesis, Problem
-from station.diagnose.states import layout_states, states, trades, value_names
+from station.estimation.dataset import dataset
+from station.estimation.identifiability import parameter_states, states, trades
+from station.estimation.parameters import Hypothesis, parameters
 from station.model.effects import effect_class
 from station.rig import Rig
 from station.runs.run import Run, RunMetadata
@@ -89,42 +90,43 @@ def test_a_value_at_a_bound_says_so_before_all_else():
 
 
 @pytest.fixture(scope="module")
-def layout():
+def space():
     rows = 100
     zero = np.zeros(rows)
     moving = np.arange(rows, dtype=float)
     run = Run("one", np.arange(rows) / 500.0, zero, zero, moving, None, RunMetadata(controller={"kind": "open"}))
-    problem = Problem(AXIS, [run, run])
     delay, ripple = effect_class("input_delay"), effect_class("torque_ripple")
-    return problem.layout(Hypothesis(((delay, "amplifier"), (ripple, "motor")), ("motor.gain",)),
-                          {0: {"time": 0.003}, 1: {"amplitude": 0.01, "cycles": 4.0, "phase": 3.0}})
+    return parameters(dataset(AXIS, [run, run]),
+                      Hypothesis(((delay, "amplifier"), (ripple, "motor")), ("motor.gain",)),
+                      {("input_delay", "amplifier"): {"time": 0.003},
+                       ("torque_ripple", "motor"): {"amplitude": 0.01, "cycles": 4.0, "phase": 3.0}})
 
 
-def test_a_hypothesis_states_stand_in_the_order_of_its_parameters(layout):
+def test_a_hypothesis_states_stand_in_the_order_of_its_parameters(space):
     """On a rigid axis gain, inertia and damping show as two ratios; all three are traded off, the delay is not."""
-    n = len(layout.paths)
-    assert value_names(layout)[:n] == ["motor.inertia", "motor.damping", "motor.gain"]
-    assert value_names(layout)[n] == "input_delay@amplifier.time"
-    assert len(value_names(layout)) == layout.size
-    information = np.zeros((layout.size, layout.size))
-    ratios = np.array([[1.0, 0.0, -1.0], [0.0, 1.0, -1.0]]) @ layout.root
+    n = len(space.paths)
+    assert space.names()[:n] == ["motor.inertia", "motor.damping", "motor.gain"]
+    assert space.names()[n] == "input_delay@amplifier.time"
+    assert len(space.names()) == space.size
+    information = np.zeros((space.size, space.size))
+    ratios = np.array([[1.0, 0.0, -1.0], [0.0, 1.0, -1.0]]) @ space.root
     information[:n, :n] = 1e6 * ratios.T @ ratios
-    information[n:, n:] = np.diag([1e5, 1e5, 1e5, 0.0] + [0.0] * layout.zeros)
-    covariance = np.linalg.inv(information + np.diag(layout.prior_precision))
-    found = layout_states(layout, covariance, layout.prior_mean)
+    information[n:, n:] = np.diag([1e5, 1e5, 1e5, 0.0] + [0.0] * space.zeros)
+    covariance = np.linalg.inv(information + np.diag(space.precision))
+    found = parameter_states(space, covariance, space.mean)
     assert names(found)[:n] == ["traded_off"] * 3
     assert {found[i].partner for i in range(n)} <= {0, 1, 2}
     assert names(found)[n: n + 4] == ["determined", "determined", "determined", "not_excited"]
 
 
-def test_an_effect_at_its_bound_is_found_and_a_phase_has_none(layout):
-    x = layout.prior_mean.copy()
-    n = len(layout.paths)
-    covariance = np.diag(1e-6 / layout.prior_precision)
-    assert set(names(layout_states(layout, covariance, x))) == {"determined"}
+def test_an_effect_at_its_bound_is_found_and_a_phase_has_none(space):
+    x = space.mean.copy()
+    n = len(space.paths)
+    covariance = np.diag(1e-6 / space.precision)
+    assert set(names(parameter_states(space, covariance, x))) == {"determined"}
     x[n] = math.log(5.0)
     x[n + 3] = math.pi
-    found = layout_states(layout, covariance, x)
+    found = parameter_states(space, covariance, x)
     assert found[n].state == "at_bound" and found[n + 3].state == "determined"
     x[0] = 100.0
-    assert layout_states(layout, covariance, x)[0].state == "at_bound"
+    assert parameter_states(space, covariance, x)[0].state == "at_bound"

@@ -1,0 +1,111 @@
+"""Odds over sets of causes: sums over sets, and what drawing the data again makes of them."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from station.diagnose import odds as module
+from station.diagnose.odds import RESAMPLES, normalised, odds, resamples
+from station.diagnose.thresholds import BEYOND
+
+FRICTION, DEAD_ZONE = ("coulomb_friction", "motor"), ("dead_zone", "amplifier")
+GAIN = ("parameter:motor.gain", "")
+Causes = frozenset[tuple[str, str]]
+
+
+class Searched:
+    """A search whose sets score ``scores[set] . drawn``: by stretch, what a set is better by than no cause."""
+
+    def __init__(self, scores: dict[Causes, np.ndarray], owner: np.ndarray) -> None:
+        self.fits = {keys: SimpleNamespace(key=keys, by_stretch=row) for keys, row in scores.items()}
+        self.predictor = SimpleNamespace(data=SimpleNamespace(segment_run=owner))
+
+    def score(self, found: SimpleNamespace, drawn: np.ndarray | None = None) -> float:
+        return float(found.by_stretch.sum() if drawn is None else found.by_stretch @ drawn)
+
+
+def searched(scores: dict[Causes, np.ndarray], runs: int = 4, each: int = 5) -> Searched:
+    return Searched(scores, np.repeat(np.arange(runs), each))
+
+
+def test_a_cause_has_the_probability_of_all_sets_that_hold_it() -> None:
+    found = normalised({frozenset(): 0.0, frozenset({FRICTION}): math.log(2.0),
+                        frozenset({FRICTION, DEAD_ZONE}): math.log(5.0)}, {FRICTION: 0.9})
+    assert found.causes == {FRICTION: pytest.approx(7 / 8), DEAD_ZONE: pytest.approx(5 / 8)}
+    assert found.nothing == pytest.approx(1 / 8)
+    assert found.sets[0][0] == frozenset({FRICTION, DEAD_ZONE})
+    assert found.stability == {FRICTION: 0.9}
+
+
+def test_what_stands_in_a_causes_place_is_summed_over_the_sets_that_lack_it() -> None:
+    found = normalised({frozenset(): 0.0, frozenset({FRICTION}): math.log(2.0), frozenset({DEAD_ZONE}): 0.0}, {})
+    assert found.replacements(frozenset({FRICTION}), FRICTION) == {DEAD_ZONE: pytest.approx(0.25)}
+
+
+def test_resamples_leave_each_run_out_once_and_then_weigh_every_stretch() -> None:
+    owner = np.array([0, 0, 1, 1, 1, 2])
+    drawn = resamples(Searched({frozenset(): np.zeros(6)}, owner))
+    assert drawn.shape == (3 + RESAMPLES, 6)
+    for run in range(3):
+        assert np.array_equal(drawn[run], (owner != run).astype(float))
+    np.testing.assert_allclose(drawn[3:].sum(axis=1), 6.0)
+    assert drawn[3:].min() > 0.0 and drawn[3:].mean(axis=0) == pytest.approx(np.ones(6), abs=0.3)
+    assert np.array_equal(drawn, resamples(Searched({frozenset(): np.zeros(6)}, owner)))
+
+
+def test_with_two_runs_none_is_left_out_whole() -> None:
+    assert len(resamples(Searched({}, np.array([0, 0, 1, 1])))) == RESAMPLES
+
+
+def test_a_cause_that_every_stretch_asks_for_is_certain_and_stable() -> None:
+    found = odds(searched({frozenset(): np.zeros(20), frozenset({FRICTION}): np.full(20, 3.0)}))
+    assert found.causes[FRICTION] > 0.999 and found.stability[FRICTION] == pytest.approx(1.0)
+
+
+def test_a_cause_that_one_stretch_alone_asks_for_is_as_sure_as_that_stretch_is_of_coming_again() -> None:
+    """All data together are sure of it by e^12; drawn again they often are not."""
+    alone = np.full(20, -1.0)
+    alone[3] = 31.0
+    found = odds(searched({frozenset(): np.zeros(20), frozenset({FRICTION}): alone}))
+    assert alone.sum() == 12.0
+    # Weights of the Bayesian bootstrap: 31 w > sum of 19 others of mean 1, so P = E[exp(-sum/31)] = (1 + 1/31)^-19.
+    wanted = (1.0 + 1.0 / 31.0) ** -19
+    assert found.stability[FRICTION] == pytest.approx(wanted, abs=0.1)
+    assert found.causes[FRICTION] == pytest.approx(wanted, abs=0.1)
+
+
+def test_leaving_out_the_one_run_that_shows_a_cause_counts_against_it() -> None:
+    """Of 4 runs one alone speaks for it, in all its stretches: one resample more names nothing."""
+    shown = np.where(np.arange(20) < 5, 6.0, -0.1)
+    found = odds(searched({frozenset(): np.zeros(20), frozenset({FRICTION}): shown}))
+    assert found.stability[FRICTION] == pytest.approx((3 + RESAMPLES) / (4 + RESAMPLES))
+
+
+def test_rivals_of_which_each_wins_half_of_the_draws_share_the_odds() -> None:
+    one = np.tile([8.0, 0.0], 10)
+    found = odds(searched({frozenset(): np.full(20, -9.0), frozenset({FRICTION}): one,
+                           frozenset({DEAD_ZONE}): one[::-1].copy()}))
+    assert found.causes[FRICTION] + found.causes[DEAD_ZONE] == pytest.approx(1.0, abs=1e-6)
+    assert 0.3 < found.causes[FRICTION] < 0.7 and found.nothing < 1e-6
+
+
+@pytest.mark.parametrize(("sigmas", "accused"), [(BEYOND - 0.1, False), (BEYOND + 0.1, True)])
+def test_a_constant_is_accused_beyond_three_of_its_own_sigmas_only(sigmas: float, accused: bool) -> None:
+    search = searched({frozenset(): np.zeros(20), frozenset({GAIN}): np.ones(20)})
+    search.predictor.data.rig = SimpleNamespace(constants=lambda: {"motor.gain": 1.0}, sigma=lambda path: 0.1,
+                                                log_covariance=lambda paths: np.array([[0.01]]))
+    for found in search.fits.values():
+        found.space, found.logs = SimpleNamespace(paths=("motor.gain",)), np.array([0.1 * sigmas])
+    assert (GAIN in odds(search).causes) is accused
+
+
+def test_a_common_factor_that_the_others_show_is_no_deviation_of_one() -> None:
+    found = SimpleNamespace(space=SimpleNamespace(paths=("a", "b")), logs=np.array([0.4, 0.4]))
+    shared = np.array([[0.0101, 0.01], [0.01, 0.0101]])
+    sigma = {"a": 0.01, "b": 0.01}
+    apart = SimpleNamespace(space=found.space, logs=np.array([0.4, 0.0]))
+    assert module.deviation(found, sigma, shared, "a") < 1.0 < BEYOND < module.deviation(apart, sigma, shared, "a")

@@ -1,0 +1,60 @@
+"""The score by which sets of causes are judged, on evidences made up."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from station.diagnose.selection import EFFORTS, Selection
+from station.diagnose.thresholds import LOG_PRIOR, LOG_PRIOR_PARAMETER
+from station.estimation.likelihood import Weighing
+from station.estimation.parameters import Hypothesis
+from station.model.effects import effect_class
+
+FRICTION, STRIBECK, CLOCK = ((effect_class(name), at) for name, at in (
+    ("coulomb_friction", "motor"), ("stribeck_friction", "motor"), ("clock_scale", "")))
+
+
+def found(evidence: float, *effects: tuple, constants: tuple[str, ...] = ()) -> SimpleNamespace:
+    hypothesis = Hypothesis(effects, constants)
+    made = SimpleNamespace(space=SimpleNamespace(hypothesis=hypothesis, zeros=0), key=hypothesis.key,
+                           log_evidence=lambda weighing, drawn=None: evidence)
+    made.light = made
+    return made
+
+
+def searching(clock: tuple[float, float] | None = None) -> Selection:
+    return Selection(SimpleNamespace(data=SimpleNamespace(clock=clock)), EFFORTS["quick"],
+                     Weighing(np.ones((1, 1)), 1.0))
+
+
+def test_each_cause_and_each_further_parameter_costs_its_prior() -> None:
+    search = searching()
+    assert search.score(found(10.0)) == 10.0
+    assert search.score(found(10.0, FRICTION)) == pytest.approx(10.0 + LOG_PRIOR)
+    further = len(STRIBECK[0].parameters()) - 1
+    assert further > 0
+    both = search.score(found(10.0, FRICTION, STRIBECK, constants=("motor.gain",)))
+    assert both == pytest.approx(10.0 + 3.0 * LOG_PRIOR + further * LOG_PRIOR_PARAMETER)
+
+
+def test_clocks_that_disagree_speak_against_every_set_that_leaves_the_boards_clock_right() -> None:
+    search = searching((1.004, 0.001))
+    assert search.score(found(0.0)) == pytest.approx(-8.0)
+    assert search.score(found(0.0, CLOCK)) == pytest.approx(LOG_PRIOR)
+
+
+def test_of_two_fits_of_the_same_causes_the_better_one_is_kept_and_the_best_set_is_found() -> None:
+    search = searching()
+    for evidence in (20.0, 30.0, 25.0):
+        search.keep(found(evidence, FRICTION))
+    search.keep(found(22.0))
+    assert search.score(search.best()) == pytest.approx(30.0 + LOG_PRIOR) and len(search.fits) == 2
+    search.keep(found(24.0))
+    assert search.best().key == frozenset()
+
+
+def test_an_evidence_that_is_no_number_never_wins() -> None:
+    assert searching().score(found(float("nan"))) == -np.inf

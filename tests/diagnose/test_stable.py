@@ -1,0 +1,176 @@
+"""What is said of a rig does not hang on what says nothing of it: order, threads, ends, zero, files and rows.
+
+On one made case, and on the measured logs of both rigs where they are there.  Quick effort: the full one takes the same
+steps, more of them.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cache
+
+import pytest
+
+from station.diagnose.diagnose import diagnose
+from station.diagnose.result import Cause, Diagnosis, Estimate
+from station.rig import Rig, load_rig
+from station.runs import load_run
+from station.runs.run import Run
+from tests.measured import LOGS, SERVO_LOGS, measured_folder, measured_log
+from tests.truth import RIGID_AXIS, make_case
+
+CLOSE = 0.05
+"""Largest change of a probability."""
+CUT = 0.02
+"""Share of each run's end."""
+SEED = 11
+Given = tuple[Rig, tuple[Run, ...]]
+
+
+def made() -> Given:
+    return Rig.model_validate(RIGID_AXIS), tuple(
+        make_case(8001, [("coulomb_friction", "motor")], nominal=RIGID_AXIS, count=4, band=(400.0, 1e5)).runs)
+
+
+def arm() -> Given:
+    return load_rig("sflr"), tuple(load_run(measured_log(name)) for name in LOGS)
+
+
+def servo() -> Given:
+    paths = [measured_log(name, "xl330") for name in SERVO_LOGS]
+    return load_rig(str(measured_folder("xl330") / "rig.toml")), tuple(load_run(path) for path in paths)
+
+
+def rows(run: Run, kept: slice, name: str | None = None) -> Run:
+    """Some rows of a run, which none lacks, beginning at time 0."""
+    columns = {key: value[kept] for key, value in run.columns().items() if key not in run.extra and key != "n"}
+    columns["t"] = columns["t"] - columns["t"][0]
+    return replace(run, **columns, n=None, extra={}, name=name or run.name)
+
+
+def reversed_order(rig: Rig, runs: tuple[Run, ...]) -> Given:
+    return rig, runs[::-1]
+
+
+def shuffled(rig: Rig, runs: tuple[Run, ...]) -> Given:
+    order = list(runs)
+    random.Random(SEED).shuffle(order)
+    return rig, tuple(order)
+
+
+def cut(rig: Rig, runs: tuple[Run, ...]) -> Given:
+    return rig, tuple(rows(run, slice(0, len(run) - round(CUT * len(run)))) for run in runs)
+
+
+def zero_moved(rig: Rig, runs: tuple[Run, ...]) -> Given:
+    """By a count; the reference of a closed loop with it."""
+    return rig, tuple(replace(run, encoder=run.encoder + 1.0,
+                              reference=run.reference + (0.0 if run.open_loop else 1.0)) for run in runs)
+
+
+def split(rig: Rig, runs: tuple[Run, ...]) -> Given:
+    """The longest run, in two."""
+    longest = max(runs, key=len)
+    half = len(longest) // 2
+    halves = (rows(longest, slice(0, half), f"{longest.name} 1"), rows(longest, slice(half, None), f"{longest.name} 2"))
+    return rig, (*(run for run in runs if run is not longest), *halves)
+
+
+def half_rate(rig: Rig, runs: tuple[Run, ...]) -> Given:
+    return (rig.model_copy(update={"sample_rate": rig.sample_rate / 2.0}),
+            tuple(rows(run, slice(None, None, 2)) for run in runs))
+
+
+def untold(rig: Rig, runs: tuple[Run, ...]) -> Given:
+    """Without what closed the loops."""
+    return rig, tuple(run if run.open_loop else
+                      replace(run, metadata=run.metadata.model_copy(update={"controller": {"kind": "unknown"}}))
+                      for run in runs)
+
+
+DATA: dict[str, Callable[[], Given]] = {"made": made, "servo": servo, "arm": arm}
+CHANGES = {"reversed": reversed_order, "shuffled": shuffled, "cut": cut, "zero moved": zero_moved, "split": split,
+           "half rate": half_rate}
+
+
+@cache
+def given(data: str) -> Given:
+    return DATA[data]()
+
+
+@cache
+def plain(data: str) -> Diagnosis:
+    """What is said of the runs as they are, by two threads."""
+    return said(*given(data))
+
+
+def said(rig: Rig, runs: Sequence[Run], threads: int = 2) -> Diagnosis:
+    return diagnose(rig, runs, effort="quick", threads=threads).diagnosis
+
+
+def keyed(found: Diagnosis) -> dict[tuple[str, str], Cause]:
+    return {(cause.effect, cause.at): cause for cause in found.causes}
+
+
+def within(one: Estimate, other: Estimate) -> bool:
+    """Within half their interval."""
+    return abs(one.value - other.value) <= 0.25 * (one.high - one.low + other.high - other.low)
+
+
+def differences(one: Diagnosis, other: Diagnosis) -> list[str]:
+    """What two diagnoses say differently."""
+    found = []
+    if one.verdict != other.verdict:
+        found.append(f"verdict {one.verdict}, {other.verdict}")
+    before, after = keyed(one), keyed(other)
+    if before.keys() != after.keys():
+        found.append(f"causes {sorted(before)}, {sorted(after)}")
+    for key in before.keys() & after.keys():
+        if abs(before[key].probability - after[key].probability) > CLOSE:
+            found.append(f"{key} {before[key].probability:.3f}, {after[key].probability:.3f}")
+        found += [f"{key} {name} {value.value:.4g} ({value.low:.4g} to {value.high:.4g}), "
+                  f"{after[key].parameters[name].value:.4g}"
+                  for name, value in before[key].parameters.items() if not within(value, after[key].parameters[name])]
+    return found
+
+
+@pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.parametrize("data", DATA)
+def test_the_same_is_said_however_the_runs_are_given(data: str, change: str) -> None:
+    assert differences(plain(data), said(*CHANGES[change](*given(data)))) == []
+
+
+@pytest.mark.parametrize("data", DATA)
+def test_one_thread_says_what_two_say(data: str) -> None:
+    alone = said(*given(data), threads=1)
+    assert alone == plain(data)
+
+
+def test_the_made_case_is_one_in_which_something_is_said() -> None:
+    assert ("coulomb_friction", "motor") in keyed(plain("made"))
+
+
+def test_a_servos_gears_lose_torque_with_their_load_whether_or_not_its_controller_is_known() -> None:
+    told, blind = plain("servo"), said(*untold(*given("servo")))
+    assert told.causes and told.causes[0].effect == blind.causes[0].effect == "load_friction"
+    assert (told.verdict, set(keyed(told))) == (blind.verdict, set(keyed(blind)))
+
+
+def test_an_arms_causes_do_not_hang_on_what_closed_its_loops() -> None:
+    told, blind = plain("arm"), said(*untold(*given("arm")))
+    assert (told.verdict, set(keyed(told))) == (blind.verdict, set(keyed(blind)))
+
+
+@pytest.mark.parametrize(("change", "names"), [({"verdict": "ambiguous"}, "verdict"), ({"causes": []}, "causes")])
+def test_differences_are_seen(change: dict, names: str) -> None:
+    estimate = Estimate(value=1.0, low=0.8, high=1.2, unit="N m")
+    cause = Cause(effect="coulomb_friction", at="motor", probability=0.9, parameters={"torque": estimate})
+    one = Diagnosis.model_validate({"verdict": "explained", "causes": [cause], "gain": {"held_out": []}})
+    assert differences(one, one) == []
+    assert names in differences(one, one.model_copy(update=change))[0]
+    less = cause.model_copy(update={"probability": 0.84})
+    more = cause.model_copy(update={"parameters": {"torque": estimate.model_copy(update={"value": 1.21})}})
+    for other in (less, more):
+        assert len(differences(one, one.model_copy(update={"causes": [other]}))) == 1

@@ -1,0 +1,43 @@
+"""What is said of runs left out."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from station.diagnose import validation as module
+from station.diagnose.validation import leave_each_out, unseen_gain
+
+
+def fits(*squares: list[list[float]]) -> list[SimpleNamespace]:
+    return [SimpleNamespace(squares=np.array(rows)) for rows in squares]
+
+
+def test_a_gain_is_the_mean_over_blocks_of_errors_on_the_run_that_each_fit_left_out() -> None:
+    """Half the error in one run and the same in the other: 1 - 2^(-1/2); what the fits saw does not count."""
+    before = fits([[4.0, 4.0], [0.0, 0.0]], [[0.0, 0.0], [9.0, 9.0]])
+    after = fits([[1.0, 1.0], [77.0, 77.0]], [[77.0, 77.0], [9.0, 9.0]])
+    assert unseen_gain(before, after) == pytest.approx(1.0 - 0.5**0.5)
+    assert unseen_gain(after, before) == pytest.approx(1.0 - 2.0**0.5)
+    assert unseen_gain(before, before) == 0.0
+
+
+def test_every_run_is_left_out_once_from_where_the_fit_of_all_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def fit(predictor, space, weighing, x, start, offset, *, runs, **how):
+        asked.append((list(runs), x, how["jacobian"]))
+        if not runs[2]:
+            raise ArithmeticError("lost")
+        return SimpleNamespace(light=f"without {int(np.argmin(runs))}")
+
+    monkeypatch.setattr(module, "fit", fit)
+    found = SimpleNamespace(space=None, x="here", start=None, offset=None, jacobian="known", light="of all")
+    with ThreadPoolExecutor(1) as pool:
+        predictor = SimpleNamespace(data=SimpleNamespace(runs=[None] * 3), pool=pool)
+        assert leave_each_out(predictor, None, found) == ["without 0", "without 1", "of all"]
+    assert [row[0] for row in asked] == [[0.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 0.0]]
+    assert {row[1:] for row in asked} == {("here", "known")}

@@ -1,0 +1,139 @@
+"""Fits of one hypothesis, on runs whose constants are known."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from station.estimation.dataset import dataset
+from station.estimation.least_squares import Fit, _Descent, fit, inherited, weighing_of
+from station.estimation.likelihood import Weighing, block_counts
+from station.estimation.observer import observers
+from station.estimation.parameters import Hypothesis, parameters
+from station.estimation.prediction import Predictor
+from station.model.effects import effect_class
+from tests.estimation.made import AXIS, runs_of
+
+FRICTION, KEY = effect_class("coulomb_friction"), ("coulomb_friction", "motor")
+TORQUE = 0.02 * AXIS.motor.gain * AXIS.amplifier.limit
+
+
+@pytest.fixture(scope="module")
+def predictor() -> Iterator[Predictor]:
+    true = AXIS.with_constants({"motor.damping": 1.1 * AXIS.motor.damping})
+    true = true.with_effects([FRICTION(at="motor", torque=TORQUE)])
+    with ThreadPoolExecutor(2) as pool:
+        yield Predictor(dataset(AXIS, runs_of(true)), observers(AXIS, 0.0), pool)
+
+
+@pytest.fixture(scope="module")
+def weighing(predictor: Predictor) -> Weighing:
+    return Weighing(block_counts(predictor.data, predictor.channel), 1.0)
+
+
+@pytest.fixture(scope="module")
+def fitted(predictor: Predictor, weighing: Weighing) -> Fit:
+    """From three times the friction."""
+    space = parameters(predictor.data, Hypothesis(((FRICTION, "motor"),)), {KEY: {"torque": 3.0 * TORQUE}})
+    return fit(predictor, space, weighing, space.mean.copy(), tolerance=0.01, iterations=40)
+
+
+def test_what_was_hidden_is_found_from_a_wrong_start(fitted: Fit) -> None:
+    assert fitted.space.values(fitted.x)[KEY]["torque"] == pytest.approx(TORQUE, rel=0.05)
+    rig = fitted.space.rig_at(fitted.x)
+    ratio = rig.motor.damping / rig.motor.gain / (AXIS.motor.damping / AXIS.motor.gain)
+    assert ratio == pytest.approx(1.1, rel=0.03)
+    assert np.all(fitted.squares < 2.0 * block_counts_of(fitted))
+
+
+def block_counts_of(found: Fit) -> np.ndarray:
+    counts = np.zeros_like(found.squares)
+    np.add.at(counts, found.owner, found.information.counts)
+    return counts
+
+
+def test_sums_over_stretches_are_those_of_the_whole(fitted: Fit) -> None:
+    info, jac = fitted.information, fitted.jacobian
+    for r, (j, e) in enumerate(zip(jac, fitted.residuals, strict=True)):
+        own = fitted.owner == r
+        np.testing.assert_allclose(info.squares[own].sum(axis=0), fitted.squares[r], rtol=1e-10)
+        np.testing.assert_allclose(info.normal[own].sum(axis=0), np.einsum("ibn,jbn->bij", j, j), rtol=1e-8)
+        np.testing.assert_allclose(info.gradient[own].sum(axis=0), np.einsum("ibn,bn->bi", j, e), rtol=1e-8)
+
+
+def test_drawing_every_stretch_once_changes_nothing(fitted: Fit, weighing: Weighing) -> None:
+    ones = np.ones(len(fitted.owner))
+    assert fitted.log_evidence(weighing, ones) == pytest.approx(fitted.log_evidence(weighing), rel=1e-12)
+    np.testing.assert_allclose(fitted.blocks(weighing, ones), fitted.blocks(weighing))
+    assert fitted.log_evidence(weighing, 2.0 * ones) != pytest.approx(fitted.log_evidence(weighing), rel=1e-3)
+
+
+def test_eliminating_each_runs_nuisances_is_solving_for_all_at_once(fitted: Fit, weighing: Weighing) -> None:
+    p, c, runs = fitted.space.size, len(fitted.nuisance), len(fitted.squares)
+    joint, force = np.zeros((p + runs * c, p + runs * c)), np.zeros(p + runs * c)
+    w = fitted.blocks(weighing)
+    for r, (j, e) in enumerate(zip(fitted.jacobian, fitted.residuals, strict=True)):
+        at = np.r_[0:p, p + r * c: p + (r + 1) * c]
+        joint[np.ix_(at, at)] += np.einsum("b,ibn,jbn->ij", w[r], j, j)
+        force[at] += np.einsum("b,ibn,bn->i", w[r], j, e)
+        own = np.arange(p + r * c, p + (r + 1) * c)
+        joint[own, own] += fitted.nuisance
+        force[own] -= fitted.nuisance * fitted.away[r]
+    prior = fitted.space.precision
+    joint[range(p), range(p)] += prior
+    force[:p] -= prior * (fitted.x - fitted.space.mean)
+    normal, slope = fitted.normal(weighing)
+    step = np.linalg.solve(normal + np.diag(prior), slope - prior * (fitted.x - fitted.space.mean))
+    np.testing.assert_allclose(step, np.linalg.solve(joint, force)[:p], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.inv(normal + np.diag(prior)), np.linalg.inv(joint)[:p, :p], rtol=1e-5,
+                               atol=1e-12)
+
+
+def test_derivatives_are_differences_of_predictions(predictor: Predictor, fitted: Fit, weighing: Weighing) -> None:
+    descent = _Descent(predictor, fitted.space, weighing, np.ones(3), False)
+    here = descent.at(fitted.x, fitted.start, fitted.offset)
+    jac = descent.jacobian(here)
+    for k in range(len(fitted.space.paths)):
+        step = 5e-4
+        ends = []
+        for way in (step, -step):
+            x = fitted.x.copy()
+            x[k] += way
+            ends.append(predictor.runs(fitted.space, x, fitted.start, fitted.offset))
+        for r, (up, down) in enumerate(zip(*ends, strict=True)):
+            central = (up - down) * descent.scale[r] / (2.0 * step)
+            assert np.linalg.norm(jac[r][k] - central) < 0.05 * np.linalg.norm(central)
+
+
+def test_a_run_of_weight_0_does_not_pull(predictor: Predictor, fitted: Fit, weighing: Weighing) -> None:
+    descent = _Descent(predictor, fitted.space, weighing, np.array([1.0, 0.0, 1.0]), False)
+    here = descent.at(fitted.x, fitted.start, fitted.offset)
+    jac = [j.copy() for j in fitted.jacobian]
+    before = descent.normal(here, jac)[:2]
+    jac[1] *= 3.0
+    for one, other in zip(before, descent.normal(here, jac)[:2], strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6 * np.abs(one).max())
+
+
+def test_derivatives_that_are_handed_on_are_the_same_in_other_coordinates(predictor: Predictor, fitted: Fit) -> None:
+    wider = parameters(predictor.data, fitted.space.hypothesis + Hypothesis((), ("motor.gain",)),
+                       fitted.space.values(fitted.space.mean))
+    n = len(wider.paths)
+    for old, new in zip(fitted.jacobian, inherited(fitted, wider), strict=True):
+        by_log = np.tensordot(np.linalg.inv(fitted.space.root).T, old[:n], 1)
+        np.testing.assert_allclose(np.tensordot(np.linalg.inv(wider.root).T, new[:n], 1), by_log, rtol=1e-7, atol=1e-9)
+        assert not new[n: wider.size].any() and np.array_equal(new[wider.size:], old[fitted.space.size:])
+
+
+def test_where_a_model_reaches_the_noise_errors_are_nearly_all_independent(predictor: Predictor, fitted: Fit) -> None:
+    found = weighing_of(predictor, fitted)
+    assert found.temperature >= 1.0 and np.all(found.independent <= block_counts_of(fitted) + 1e-9)
+
+
+def test_a_start_that_does_not_simulate_is_refused(predictor: Predictor, fitted: Fit, weighing: Weighing) -> None:
+    """An angle that is not a number stands for a model that has run away."""
+    with pytest.raises(ArithmeticError, match="does not simulate"):
+        fit(predictor, fitted.space, weighing, fitted.x, start=np.full(3, np.nan))

@@ -1,0 +1,84 @@
+"""Where parameters stand, what they mean, and what is carried from one hypothesis to another."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from station.estimation.dataset import dataset
+from station.estimation.parameters import FARTHEST, WIDE, Hypothesis, parameters
+from station.model.effects import effect_class
+from tests.estimation.made import AXIS, runs_of
+
+DATA = dataset(AXIS, runs_of(AXIS))
+FRICTION, DELAY, ROUND = (effect_class(n) for n in ("coulomb_friction", "input_delay", "encoder_eccentricity"))
+CENTRES = {("coulomb_friction", "motor"): {"torque": 0.01}, ("input_delay", "amplifier"): {"time": 0.004},
+           ("encoder_eccentricity", "encoder"): {"amplitude": 2.0, "phase": 0.5}}
+ONE, BOTH = Hypothesis(((FRICTION, "motor"),)), Hypothesis(((FRICTION, "motor"), (DELAY, "amplifier")))
+
+
+def test_the_prior_mean_is_the_nominal_rig_with_the_effects_at_their_centres() -> None:
+    space = parameters(DATA, BOTH, CENTRES)
+    rig = space.rig_at(space.mean)
+    assert rig.constants() == pytest.approx(DATA.rig.constants())
+    assert {(e.name, e.at): e.values() for e in rig.effects} == {
+        key: pytest.approx(CENTRES[key]) for key in list(CENTRES)[:2]}
+    assert len(space.names()) == space.size == len(space.precision)
+
+
+def test_a_hypothesis_keeps_another_ones_values_and_begins_what_is_new_where_told() -> None:
+    small, large = parameters(DATA, ONE, CENTRES), parameters(DATA, BOTH + Hypothesis((), ("motor.gain",)), CENTRES)
+    x = small.mean + np.linspace(-0.7, 0.9, small.size)
+    there = large.carried(small, x, {("input_delay", "amplifier"): {"time": 0.002}})
+    np.testing.assert_allclose(large.logs(there), small.logs(x), atol=1e-12)
+    assert large.values(there)["coulomb_friction", "motor"] == pytest.approx(
+        small.values(x)["coulomb_friction", "motor"])
+    assert large.values(there)["input_delay", "amplifier"] == pytest.approx({"time": 0.002})
+    np.testing.assert_allclose(small.carried(large, there), x, atol=1e-10)
+
+
+def test_a_constant_that_is_set_free_has_a_wide_prior_and_the_others_theirs() -> None:
+    free = parameters(DATA, Hypothesis((), ("motor.gain",)), {})
+    covariance = free.root @ free.root.T
+    wanted = DATA.rig.log_covariance(list(free.paths))
+    i = free.paths.index("motor.gain")
+    wanted[i, i] += WIDE**2
+    np.testing.assert_allclose(covariance, wanted, rtol=1e-10)
+
+
+def test_no_constant_is_simulated_beyond_its_farthest() -> None:
+    space = parameters(DATA, Hypothesis(), {})
+    far = space.rig_at(np.linalg.solve(space.root, np.full(len(space.paths), 50.0))).constants()
+    for path, value in DATA.rig.constants().items():
+        assert far[path] == pytest.approx(value * math.exp(FARTHEST))
+
+
+def test_sizes_stay_within_what_is_physical_on_the_rig() -> None:
+    space = parameters(DATA, Hypothesis(((ROUND, "encoder"),)), CENTRES)
+    x = space.mean.copy()
+    first = space.parts["effects"].start
+    x[first] = 60.0
+    values = space.values(x)["encoder_eccentricity", "encoder"]
+    assert values["amplitude"] == ROUND.largest(DATA.rig, "encoder")["amplitude"] < math.inf
+    x[first + 1] = 0.5 + 2.0 * math.pi
+    assert space.values(x)["encoder_eccentricity", "encoder"]["phase"] == pytest.approx(0.5)
+
+
+def test_an_effect_that_the_rig_holds_moves_by_its_stated_uncertainty() -> None:
+    rig = AXIS.with_effects([FRICTION(at="motor", torque=0.01)])
+    unsure = rig.model_copy(update={"uncertainty": {**rig.uncertainty, "coulomb_friction.torque": 0.2}})
+    data = dataset(unsure, runs_of(AXIS))
+    space = parameters(data, Hypothesis(), {})
+    assert len(space.held) == 1 and space.precision[space.parts["held"]] == pytest.approx([1.0])
+    x = space.mean.copy()
+    x[space.parts["held"]] = 1.0
+    assert space.rig_at(x).effects[0].values()["torque"] == pytest.approx(0.01 * math.exp(0.2))
+    assert not parameters(dataset(rig, runs_of(AXIS)), Hypothesis(), {}).held
+
+
+def test_causes_are_taken_out_and_put_in() -> None:
+    assert BOTH.without(("input_delay", "amplifier")).key == ONE.key
+    assert (ONE + Hypothesis((), ("motor.gain",))).key == {("coulomb_friction", "motor"), ("parameter:motor.gain", "")}
+    assert Hypothesis().label == "nothing"

@@ -1,0 +1,73 @@
+"""Predictions: the simulation where nothing is corrected, and closer to the measured the shorter they look ahead."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from station.estimation.observer import observers
+from station.estimation.prediction import SEARCH, predict
+from station.model.effects import effect_class
+from station.model.simulate import build, simulate_model
+from station.rig import load_rig
+from tests.estimation.made import AXIS, run_of
+from tests.truth import SFLR, innovations
+
+
+@pytest.mark.parametrize("controller", ["open", "p2"])
+def test_without_corrections_a_prediction_is_the_simulation_driven_by_the_command(controller: str) -> None:
+    friction = effect_class("coulomb_friction")(at="motor", torque=0.01)
+    model = build(AXIS.with_effects([friction]), *SEARCH[:2])
+    run = run_of(AXIS, 60.0, controller, "x")
+    driven = run.metadata.model_copy(update={"controller": {"kind": "open"}, "command_row": 0})
+    made = simulate_model(model, type(run)("x", run.t, run.command, run.command, run.encoder, None, driven),
+                          rounding=False, start_angle=0.02)
+    (observer,) = observers(AXIS, 0.1, (math.inf,))
+    found, torque = predict(model, observer, np.stack([run.encoder, np.zeros(len(run))]),
+                            np.ascontiguousarray(run.command), start_angle=0.02, offset=0.0)
+    np.testing.assert_allclose(found[0], made.encoder, atol=1e-9)
+    assert not torque.any()
+
+
+def test_a_wrong_gain_matters_less_the_shorter_a_prediction_looks_ahead() -> None:
+    run = run_of(AXIS, 60.0, "open", "x")
+    wrong = build(AXIS.with_constants({"motor.gain": 1.2 * AXIS.motor.gain}), *SEARCH[:2])
+    measured = np.stack([run.encoder, np.zeros(len(run))])
+    errors = []
+    for observer in observers(AXIS, 0.1, (0.02, 0.1, 0.5, math.inf)):
+        found, _ = predict(wrong, observer, measured, np.ascontiguousarray(run.command), start_angle=0.0, offset=0.0)
+        errors.append(float(np.sqrt(np.mean((run.encoder - found[0]) ** 2))))
+    assert errors == sorted(errors) and errors[0] < 0.2 * errors[-1]
+
+
+def test_a_right_model_misses_no_more_than_rounding_at_any_horizon() -> None:
+    run = run_of(AXIS, 60.0, "p2", "x")
+    model = build(AXIS, *SEARCH[:2])
+    for observer in observers(AXIS, 0.0):
+        found, _ = predict(model, observer, np.stack([run.encoder, np.zeros(len(run))]),
+                           np.ascontiguousarray(run.command), start_angle=0.0, offset=0.0)
+        assert np.abs(run.encoder - found[0]).max() < 1.0
+        assert np.std(run.encoder - found[0]) < 0.4
+
+
+def test_a_known_torque_is_found_by_the_observer() -> None:
+    """A constant torque at the motor, unknown to the model, is what the slow observer ends with, in counts."""
+    bias = effect_class("command_bias")(at="amplifier", offset=6.0)
+    run = run_of(AXIS.with_effects([bias]), 60.0, "p2", "x")
+    (observer,) = observers(AXIS, 0.0, (0.05,))
+    _, torque = predict(build(AXIS, *SEARCH[:2]), observer, np.stack([run.encoder, np.zeros(len(run))]),
+                        np.ascontiguousarray(run.command), start_angle=0.0, offset=0.0)
+    assert 0.0 < torque[len(run) // 4:].mean() < 6.5
+
+
+def test_without_disturbances_the_plain_filter_of_a_perfect_arm_predicts_the_same() -> None:
+    """The independent dense filter with next to no disturbance is the simulation; it corrects the start alone."""
+    rig = load_rig("sflr").with_elements(16)
+    run = run_of(rig, 60.0, "open", "x", 0.8)
+    (observer,) = observers(rig, 0.0, (math.inf,))
+    found, _ = predict(build(rig, 0.0, 2e-4), observer, np.stack([run.encoder, np.zeros(len(run))]),
+                       np.ascontiguousarray(run.command), start_angle=0.0, offset=0.0)
+    plain = innovations.innovations(SFLR, run.command, run.encoder[:, None], start_spread=1e-9)
+    np.testing.assert_allclose(found[0], run.encoder - plain.errors[:, 0], atol=0.05)
