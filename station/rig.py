@@ -103,6 +103,14 @@ class Accelerometer(_Table):
         return gain
 
 
+class Limits(_Table):
+    """travel: rad from the start of a session; speed: rad/s; command: counts.  Host and device both hold them."""
+
+    travel: Positive | None = None
+    speed: Positive | None = None
+    command: Positive | None = None
+
+
 class Rig(_Table):
     """The machine under test; see the module for the parts that may be left out."""
 
@@ -117,6 +125,7 @@ class Rig(_Table):
     tip: Tip | None = None
     encoder: Encoder
     accelerometer: Accelerometer | None = None
+    limits: Limits | None = None
     uncertainty: dict[str, NotNegative] = Field(default_factory=dict)
     effects: Annotated[tuple[Effect, ...], Field(max_length=32)] = ()
 
@@ -183,6 +192,12 @@ class Rig(_Table):
     def angle_per_count(self) -> float:
         """Radians per encoder count."""
         return 2.0 * math.pi / self.encoder.counts_per_revolution
+
+    @property
+    def command_limit(self) -> float:
+        """Largest command (counts): the amplifier's, or ``limits.command`` where that is less."""
+        command = self.limits and self.limits.command
+        return min(self.amplifier.limit, command or self.amplifier.limit)
 
     def constants(self) -> dict[str, float]:
         """The constants that carry uncertainty, as "table.key"; zeros (a part without damping) are left out."""

@@ -4,3 +4,13 @@ from hypothesis import settings
 
 settings.register_profile("station", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("station")
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Print the figures that tests have recorded (``record_property("figure", ...)``)."""
+    figures = [text for report in terminalreporter.getreports("passed") if report.when == "call"
+               for name, text in report.user_properties if name == "figure"]
+    if figures:
+        terminalreporter.section("figures")
+        for text in sorted(figures):
+            terminalreporter.line(text)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from station.errors import UsageError
 from station.rig import Rig, load_rig
 from tests.truth import RIGID_AXIS, TWO_MASS
 
@@ -17,3 +18,20 @@ def test_a_rig_that_was_written_reads_back_and_takes_effects_at_its_end(name):
     more = Rig.from_toml(rig.to_toml() + '\n[[effects]]\neffect = "dead_zone"\nwidth = 3.0\n')
     assert [effect.name for effect in more.effects] == ["dead_zone"]
     assert Rig.from_toml(more.to_toml()) == more
+
+
+def test_limits_are_optional_and_read_back():
+    assert RIGS["sflr"].limits is None and "limits" not in RIGS["sflr"].to_toml()
+    assert RIGS["sflr"].command_limit == 200.0
+    rig = Rig.from_toml(RIGS["sflr"].to_toml() + "\n[limits]\ntravel = 2.5\ncommand = 120.0\n")
+    assert (rig.limits.travel, rig.limits.speed, rig.limits.command, rig.command_limit) == (2.5, None, 120.0, 120.0)
+    assert Rig.from_toml(rig.to_toml()) == rig
+
+
+@pytest.mark.parametrize(("line", "words"), [
+    ("travel = -1.0", "limits.travel: .*greater than 0, not -1.0"), ("speed = 0.0", "limits.speed: .*greater than 0"),
+    ("command = inf", "limits.command: "), ('travel = "far"', "limits.travel: "),
+    ("jerk = 1.0", "limits.jerk: unknown")])
+def test_a_limit_that_is_none_is_refused_with_the_keys_path(line, words):
+    with pytest.raises(UsageError, match=f"mine.toml: {words}"):
+        Rig.from_toml(RIGS["sflr"].to_toml() + f"\n[limits]\n{line}\n", "mine.toml")

@@ -13,22 +13,29 @@ uint16_t station_crc(uint16_t crc, const uint8_t *bytes, uint16_t length)
     return (uint16_t)value;
 }
 
+static void write_check(uint16_t crc, uint8_t *to)
+{
+    to[0] = (uint8_t)(0x40u | crc >> 10);
+    to[1] = (uint8_t)(0x40u | (crc >> 5 & 0x1fu));
+    to[2] = (uint8_t)(0x40u | (crc & 0x1fu));
+}
+
 uint16_t station_encode(const uint8_t *body, uint16_t length, uint16_t session, uint8_t *wire)
 {
-    const uint16_t crc = station_crc((uint16_t)(STATION_CRC_START ^ session), body, length);
     uint16_t code = 0; /* where the distance to the next zero goes */
     uint16_t at = 1;
-    for (uint16_t i = 0; i < length + 2; i++) {
-        const uint8_t byte = i < length ? body[i] : (uint8_t)(i == length ? crc >> 8 : crc & 0xff);
-        if (byte == 0) {
+    for (uint16_t i = 0; i < length; i++) {
+        if (body[i] == 0) {
             wire[code] = (uint8_t)(at - code);
             code = at;
         } else {
-            wire[at] = byte;
+            wire[at] = body[i];
         }
         at++;
     }
     wire[code] = (uint8_t)(at - code);
+    write_check(station_crc((uint16_t)(STATION_CRC_START ^ session), wire, at), wire + at);
+    at = (uint16_t)(at + STATION_CHECK_BYTES);
     wire[at++] = 0;
     return at;
 }
@@ -50,4 +57,20 @@ uint16_t station_unstuff(uint8_t *frame, uint16_t length)
         }
     }
     return written;
+}
+
+uint16_t station_decode(uint8_t *frame, uint16_t length, uint16_t session)
+{
+    uint8_t check[STATION_CHECK_BYTES];
+    if (length < STATION_CHECK_BYTES) {
+        return 0;
+    }
+    const uint16_t stuffed = (uint16_t)(length - STATION_CHECK_BYTES);
+    write_check(station_crc((uint16_t)(STATION_CRC_START ^ session), frame, stuffed), check);
+    for (uint16_t i = 0; i < STATION_CHECK_BYTES; i++) {
+        if (frame[stuffed + i] != check[i]) {
+            return 0;
+        }
+    }
+    return station_unstuff(frame, stuffed);
 }

@@ -46,12 +46,14 @@ void station_pack_identify(const station_identify *in, uint8_t *body)
     body[0] = STATION_CODE_IDENTIFY;
     put16(body + 1, in->version);
     put32(body + 3, in->hash);
+    put16(body + 7, in->nonce);
 }
 
 void station_unpack_identify(const uint8_t *body, station_identify *out)
 {
     out->version = get16(body + 1);
     out->hash = get32(body + 3);
+    out->nonce = get16(body + 7);
 }
 
 void station_pack_configure(const station_configure *in, uint8_t *body)
@@ -62,6 +64,10 @@ void station_pack_configure(const station_configure *in, uint8_t *body)
     put8(body + 7, in->hold_ticks);
     put8(body + 8, in->fault_ticks);
     put8(body + 9, in->answer_ticks);
+    put32(body + 10, in->travel_limit);
+    put16(body + 14, in->speed_limit);
+    put16(body + 16, (uint16_t)in->stall_command);
+    put16(body + 18, in->stall_time);
 }
 
 void station_unpack_configure(const uint8_t *body, station_configure *out)
@@ -71,6 +77,10 @@ void station_unpack_configure(const uint8_t *body, station_configure *out)
     out->hold_ticks = get8(body + 7);
     out->fault_ticks = get8(body + 8);
     out->answer_ticks = get8(body + 9);
+    out->travel_limit = get32(body + 10);
+    out->speed_limit = get16(body + 14);
+    out->stall_command = signed16(get16(body + 16));
+    out->stall_time = get16(body + 18);
 }
 
 void station_pack_arm(const station_arm *in, uint8_t *body)
@@ -88,11 +98,13 @@ void station_pack_start(const station_start *in, uint8_t *body)
 {
     body[0] = STATION_CODE_START;
     put16(body + 1, in->session);
+    put32(body + 3, in->challenge);
 }
 
 void station_unpack_start(const uint8_t *body, station_start *out)
 {
     out->session = get16(body + 1);
+    out->challenge = get32(body + 3);
 }
 
 void station_pack_command(const station_command *in, uint8_t *body)
@@ -113,36 +125,50 @@ void station_pack_identity(const station_identity *in, uint8_t *body)
     body[0] = STATION_CODE_IDENTITY;
     put16(body + 1, in->version);
     put32(body + 3, in->hash);
-    put32(body + 7, in->challenge);
-    put32(body + 11, in->boot);
-    put16(body + 15, in->zeroings);
-    put32(body + 17, in->clock_hz);
-    put32(body + 21, in->rate_min);
-    put32(body + 25, in->rate_max);
-    put16(body + 29, (uint16_t)in->command_limit);
-    put16(body + 31, in->flags);
-    put32(body + 33, in->build);
-    put8(body + 37, in->reset);
-    put8(body + 38, in->state);
-    memcpy(body + 39, in->board, 16);
+    put16(body + 7, in->nonce);
+    put32(body + 9, in->challenge);
+    put32(body + 13, in->boot);
+    put16(body + 17, in->zeroings);
+    put32(body + 19, in->clock_hz);
+    put32(body + 23, in->rate_min);
+    put32(body + 27, in->rate_max);
+    put16(body + 31, (uint16_t)in->command_limit);
+    put32(body + 33, in->travel_limit);
+    put16(body + 37, in->speed_limit);
+    put16(body + 39, (uint16_t)in->stall_command);
+    put16(body + 41, in->stall_time);
+    put32(body + 43, in->baud_rate);
+    put16(body + 47, in->allowance);
+    put16(body + 49, in->flags);
+    put32(body + 51, in->build);
+    put8(body + 55, in->reset);
+    put8(body + 56, in->state);
+    memcpy(body + 57, in->board, 16);
 }
 
 void station_unpack_identity(const uint8_t *body, station_identity *out)
 {
     out->version = get16(body + 1);
     out->hash = get32(body + 3);
-    out->challenge = get32(body + 7);
-    out->boot = get32(body + 11);
-    out->zeroings = get16(body + 15);
-    out->clock_hz = get32(body + 17);
-    out->rate_min = get32(body + 21);
-    out->rate_max = get32(body + 25);
-    out->command_limit = signed16(get16(body + 29));
-    out->flags = get16(body + 31);
-    out->build = get32(body + 33);
-    out->reset = get8(body + 37);
-    out->state = get8(body + 38);
-    memcpy(out->board, body + 39, 16);
+    out->nonce = get16(body + 7);
+    out->challenge = get32(body + 9);
+    out->boot = get32(body + 13);
+    out->zeroings = get16(body + 17);
+    out->clock_hz = get32(body + 19);
+    out->rate_min = get32(body + 23);
+    out->rate_max = get32(body + 27);
+    out->command_limit = signed16(get16(body + 31));
+    out->travel_limit = get32(body + 33);
+    out->speed_limit = get16(body + 37);
+    out->stall_command = signed16(get16(body + 39));
+    out->stall_time = get16(body + 41);
+    out->baud_rate = get32(body + 43);
+    out->allowance = get16(body + 47);
+    out->flags = get16(body + 49);
+    out->build = get32(body + 51);
+    out->reset = get8(body + 55);
+    out->state = get8(body + 56);
+    memcpy(out->board, body + 57, 16);
 }
 
 void station_pack_reply(const station_reply *in, uint8_t *body)
@@ -208,17 +234,21 @@ void station_pack_statistics(const station_statistics *in, uint8_t *body)
     put16(body + 3, in->status);
     put32(body + 5, (uint32_t)in->encoder);
     put32(body + 9, in->samples);
-    put32(body + 13, in->commands);
-    put32(body + 17, in->held);
-    put32(body + 21, in->zeroed);
-    put32(body + 25, in->late);
-    put32(body + 29, in->early);
-    put32(body + 33, in->repeated);
-    put32(body + 37, in->out_of_window);
-    put32(body + 41, in->limited);
-    put32(body + 45, in->corrupt);
-    put32(body + 49, in->woke_late);
-    put32(body + 53, in->overruns);
+    put32(body + 13, in->unsent_samples);
+    put32(body + 17, in->unsent_frames);
+    put32(body + 21, in->commands);
+    put32(body + 25, in->held);
+    put32(body + 29, in->zeroed);
+    put32(body + 33, in->late);
+    put32(body + 37, in->early);
+    put32(body + 41, in->repeated);
+    put32(body + 45, in->out_of_window);
+    put32(body + 49, in->limited);
+    put32(body + 53, in->corrupt);
+    put32(body + 57, in->woke_late);
+    put32(body + 61, in->overruns);
+    put32(body + 65, in->refused);
+    put32(body + 69, in->faults);
 }
 
 void station_unpack_statistics(const uint8_t *body, station_statistics *out)
@@ -228,17 +258,21 @@ void station_unpack_statistics(const uint8_t *body, station_statistics *out)
     out->status = get16(body + 3);
     out->encoder = signed32(get32(body + 5));
     out->samples = get32(body + 9);
-    out->commands = get32(body + 13);
-    out->held = get32(body + 17);
-    out->zeroed = get32(body + 21);
-    out->late = get32(body + 25);
-    out->early = get32(body + 29);
-    out->repeated = get32(body + 33);
-    out->out_of_window = get32(body + 37);
-    out->limited = get32(body + 41);
-    out->corrupt = get32(body + 45);
-    out->woke_late = get32(body + 49);
-    out->overruns = get32(body + 53);
+    out->unsent_samples = get32(body + 13);
+    out->unsent_frames = get32(body + 17);
+    out->commands = get32(body + 21);
+    out->held = get32(body + 25);
+    out->zeroed = get32(body + 29);
+    out->late = get32(body + 33);
+    out->early = get32(body + 37);
+    out->repeated = get32(body + 41);
+    out->out_of_window = get32(body + 45);
+    out->limited = get32(body + 49);
+    out->corrupt = get32(body + 53);
+    out->woke_late = get32(body + 57);
+    out->overruns = get32(body + 61);
+    out->refused = get32(body + 65);
+    out->faults = get32(body + 69);
 }
 
 /* Bytes of code and fields; 0: no such message. */

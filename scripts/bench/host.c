@@ -1,6 +1,6 @@
 /* A bare host for the paced benchmark: the lead compensator over the same protocol, in C, with nothing around it.
 
-   host tcp PORT | pty PATH    TICKS
+   host tcp PORT | pty PATH    TICKS    RATE (mHz)
 
    Prints one line: ticks seen, ticks unanswered, ticks counted apart (the device itself began this tick or the one
    before late), unanswered among the others, faults, and the latency's median and 99th percentile in microseconds.
@@ -62,13 +62,10 @@ static uint8_t receive(uint16_t session, int wait)
                 frame[filled < sizeof frame - 1 ? filled++ : filled] = byte;
                 continue;
             }
-            const uint16_t length = station_unstuff(frame, filled);
+            const uint16_t mixed = filled > 1 && frame[1] == STATION_CODE_SAMPLE ? session : 0;
+            const uint16_t length = station_decode(frame, filled, mixed);
             filled = 0;
-            if (length < 3 || station_body_size(frame[0]) + 2 != length) {
-                continue;
-            }
-            const uint16_t mixed = frame[0] == STATION_CODE_SAMPLE ? session : 0;
-            if (station_crc((uint16_t)(STATION_CRC_START ^ mixed), frame, length) == 0) {
+            if (length > 0 && station_body_size(frame[0]) == length) {
                 return frame[0];
             }
         }
@@ -101,7 +98,7 @@ static void request(const uint8_t *body, uint16_t length)
     expect(STATION_CODE_REPLY);
 }
 
-static void begin(uint16_t session)
+static void begin(uint16_t session, uint32_t rate)
 {
     uint8_t body[64];
     body[0] = STATION_CODE_CLEAR;
@@ -112,14 +109,14 @@ static void begin(uint16_t session)
     expect(STATION_CODE_IDENTITY);
     station_identity identity;
     station_unpack_identity(frame, &identity);
-    const station_configure configure = {.rate = 500000, .command_limit = identity.command_limit, .hold_ticks = 1,
+    const station_configure configure = {.rate = rate, .command_limit = identity.command_limit, .hold_ticks = 1,
                                          .fault_ticks = 10, .answer_ticks = 1};
     station_pack_configure(&configure, body);
     request(body, STATION_BODY_CONFIGURE);
     const station_arm arm = {.challenge = identity.challenge};
     station_pack_arm(&arm, body);
     request(body, STATION_BODY_ARM);
-    const station_start start = {.session = session};
+    const station_start start = {.session = session, .challenge = identity.challenge};
     station_pack_start(&start, body);
     request(body, STATION_BODY_START);
 }
@@ -132,8 +129,8 @@ static int by_size(const void *a, const void *b)
 
 int main(int argc, char **argv)
 {
-    if (argc != 4) {
-        fprintf(stderr, "host tcp PORT | pty PATH, TICKS\n");
+    if (argc != 5) {
+        fprintf(stderr, "host tcp PORT | pty PATH, TICKS, RATE\n");
         return 2;
     }
     if (strcmp(argv[1], "tcp") == 0) {
@@ -162,7 +159,7 @@ int main(int argc, char **argv)
     while (seen < wanted) {
         double error_before = 0.0, out = 0.0;
         int woke_late_before = 0;
-        begin(++session);
+        begin(++session, (uint32_t)atol(argv[4]));
         while (seen < wanted) {
             const uint8_t code = receive(session, 1000);
             const double received = now();

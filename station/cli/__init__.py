@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import _thread
 import os
+import signal
 import sys
+import threading
 from collections.abc import Sequence
+from types import FrameType
 
 from station.errors import StationError
 
@@ -18,15 +22,62 @@ THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS")
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command and exit with its status: 0 done, 1 the work failed, 2 wrong use, 130 interrupted."""
+    interruption = _Interruption(arguments is None)
     for name in THREADS:
         os.environ.setdefault(name, "1")
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
-    sys.exit(_status(list(sys.argv[1:] if arguments is None else arguments)))
+    try:
+        try:
+            status = _status(list(sys.argv[1:] if arguments is None else arguments), interruption)
+        except (KeyboardInterrupt, Exception):  # also what an import made of it, before _status could tell
+            if not interruption.came:
+                raise
+            status = INTERRUPTED
+        if status == INTERRUPTED:
+            print("station: interrupted", file=sys.stderr)
+    finally:
+        interruption.end()
+    sys.exit(status)
 
 
-def _status(arguments: list[str]) -> int:
+class _Interruption:
+    """Ctrl-C, told in one line whatever it meets: an import that it turns into another error, a callback that
+    swallows it.  Only where this is the main thread and nobody else handles it."""
+
+    def __init__(self, at_the_end: bool = False) -> None:
+        """``at_the_end``: the process ends after ``end``, and a Ctrl-C that comes then ends it without a word."""
+        self.came = False
+        self._after = signal.SIG_DFL if at_the_end else signal.default_int_handler
+        self._hook = sys.unraisablehook
+        self._installed = False
+        try:
+            if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+                signal.signal(signal.SIGINT, self._handle)
+                sys.unraisablehook = self._unraisable
+                self._installed = True
+        except ValueError:
+            pass
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        self.came = True
+        raise KeyboardInterrupt
+
+    def _unraisable(self, lost: sys.UnraisableHookArgs) -> None:
+        if isinstance(lost.exc_value, KeyboardInterrupt):
+            threading.Timer(1e-3, _thread.interrupt_main).start()  # not here, where it would be swallowed again
+        else:
+            self._hook(lost)
+
+    def end(self) -> None:
+        """As it was before."""
+        if self._installed:
+            sys.unraisablehook = self._hook
+            signal.signal(signal.SIGINT, self._after)
+
+
+def _status(arguments: list[str], interruption: _Interruption) -> int:
     from typer import Abort, TyperException
 
     from station.cli.app import build
@@ -49,7 +100,7 @@ def _status(arguments: list[str]) -> int:
     except TyperException as error:
         message, status = error.format_message(), error.exit_code
     except (Abort, KeyboardInterrupt):
-        message, status = "interrupted", INTERRUPTED
+        return INTERRUPTED
     except BrokenPipeError:             # the reader of our output has gone, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
@@ -59,6 +110,8 @@ def _status(arguments: list[str]) -> int:
     except MemoryError:
         message, status = "not enough memory for this", 1
     except Exception as error:
+        if interruption.came:
+            return INTERRUPTED
         message = f"a fault of Station itself: {type(error).__name__}: {error} ({TRACEBACK}=1 shows where)"
         status = 1
     print(f"station: {one_line(message)}", file=sys.stderr)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from station.cli.options import Json, Port, RigName, command
+from station.cli.options import Baud, Json, Port, RigName, command
 from station.cli.terminal import console, note, number, progress, row, say, table, write_json
 
 if TYPE_CHECKING:
@@ -47,13 +47,13 @@ def loopback(
     rate: Annotated[float | None, typer.Option("--rate", min=1.0, metavar="HZ", help=(
         "Samples per second; by default the most that the device offers."))] = None,
     seconds: Annotated[float, typer.Option("--seconds", min=0.1, max=3600.0, help="How long, s.")] = 2.0,
-    json: Json = None,
+    baud: Baud = None, json: Json = None,
 ) -> None:
     """Check a line and its device, the motor held at zero: identity, rate, losses, latency, and what to do."""
     from station.device.port import open_port
     from station.loop.loopback import loopback as exchange
 
-    with open_port(port) as line:
+    with open_port(port, baud) as line:
         found = exchange(line, rate, seconds)
     if json:
         write_json(json, asdict(found))
@@ -67,6 +67,8 @@ def loopback(
     for name, spread in (("answer, us", found.latency), ("device's ticks, us", found.device_jitter), *arrival):
         row(shown, name, *(f"{1e6 * value:.1f}" for value in asdict(spread).values()))
     console().print(shown)
+    for line_ in found.histogram.lines():
+        say(f"  {line_}")
     measured = "virtual time" if found.rate_measured is None else f"{found.rate_measured:.3f} Hz by this host's clock"
     say(f"{found.counts.samples} samples at {found.rate:g} Hz ({measured}), "
         f"{100.0 * found.answered:.3f} % answered in time, {found.counts.lost} lost, {found.counts.corrupt} corrupt")
@@ -76,7 +78,7 @@ def loopback(
 def check(
     port: Port, rig: RigName,
     amplitude: Annotated[float, typer.Option("--amplitude", help="Size of the pulses, counts.")] = 20.0,
-    json: Json = None,
+    baud: Baud = None, json: Json = None,
 ) -> None:
     """Send small pulses either way; say whether motor, encoder and accelerometer work and which way they point."""
     from station.device.port import open_port
@@ -84,7 +86,7 @@ def check(
     from station.rig import load_rig
 
     model = load_rig(rig)
-    with open_port(port) as line, progress(f"check on {port}") as update:
+    with open_port(port, baud) as line, progress(f"check on {port}") as update:
         found = check_rig(line, model, amplitude, lambda row, rows: update(row / rows))
     if json:
         write_json(json, asdict(found))
@@ -109,6 +111,8 @@ def device(
     speed: Annotated[int, typer.Option("--speed", min=0, max=1, help="1: real time; 0: lockstep.")] = 1,
     noise: Annotated[float, typer.Option("--noise", min=0.0, help="Accelerometer noise, counts, one sigma.")] = 0.0,
     seed: Annotated[int | None, typer.Option("--seed", min=0, help="Repeats the noise.")] = None,
+    board: Annotated[str, typer.Option("--board", help=(
+        "host: the firmware compiled for this machine; mps2_an385: for a Cortex-M3 that QEMU emulates."))] = "host",
 ) -> None:
     """Put a simulated rig at a pseudo-terminal or a loopback socket, for any serial program; Ctrl-C ends it."""
     import os
@@ -129,4 +133,4 @@ def device(
         note(f"{model.name} answers; Ctrl-C ends it")
 
     with suppress(KeyboardInterrupt):
-        serve(model, pty, tcp, ready_callback=ready, options=Options(speed=speed, noise=noise, seed=seed))
+        serve(model, pty, tcp, ready_callback=ready, options=Options(speed=speed, noise=noise, seed=seed), board=board)

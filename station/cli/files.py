@@ -9,6 +9,7 @@ import typer
 
 from station.cli.options import Json, Out, Overwrite, RunFile, RunFiles, command, load_runs, need_folder, rig_of
 from station.cli.terminal import console, number, one_line, row, say, table, write_json
+from station.errors import UsageError
 
 if TYPE_CHECKING:
     from station.runs.run import Run
@@ -52,36 +53,87 @@ def _written(out: Path, run: Run, source: Path) -> str:
     return f"{out}: {len(run)} rows at {run.sample_rate:g} Hz from {source}"
 
 
-@command(app, "runs", PANEL, "station runs demo/runs")
-def runs(folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder that holds run files.")] = Path("."),
-         kind: Annotated[str | None, typer.Option("--test", metavar="KIND", help="Only this kind of test.")] = None,
-         json: Json = None) -> None:
+@command(app, "runs", PANEL, "station runs demo/runs --test step")
+def runs(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder that holds run files.")] = Path("."),
+    kind: Annotated[str | None, typer.Option("--test", metavar="KIND", help="Only this kind of test.")] = None,
+    rig: Annotated[str | None, typer.Option("--rig", metavar="NAME", help="Only runs of the rig of this name.")] = None,
+    controller: Annotated[str | None, typer.Option("--controller", metavar="KIND", help=(
+        "Only under this kind of compensator: open, p, lead, lead_accel, ..."))] = None,
+    since: Annotated[str | None, typer.Option("--since", metavar="DATE", help=(
+        "Only from this date on, as 2026-03-31 (UTC)."))] = None,
+    until: Annotated[str | None, typer.Option("--until", metavar="DATE", help="Only up to this date.")] = None,
+    tag: Annotated[str | None, typer.Option("--tag", metavar="TAG", help="Only with this tag.")] = None,
+    plan: Annotated[str | None, typer.Option("--plan", metavar="NAME", help="Only of the plan of this name.")] = None,
+    json: Json = None,
+) -> None:
     """List the runs of a folder; a file that cannot be read is listed with the reason."""
-    from station.runs import list_runs
+    from station.runs import RunFilter, list_runs
 
-    found = [item for item in list_runs(folder)
-             if kind is None or (item.metadata is not None and item.metadata.test.get("kind") == kind)]
+    wanted = RunFilter(rig, kind, controller, since, until, tag, plan)
+    found = [item for item in list_runs(folder) if wanted.takes(item)]
     if json:
         write_json(json, {"runs": [_listed(item) for item in found]})
         return
-    shown = table("", "run", "test", "controller", "s", "Hz")
+    shown = table("", "run", "test", "controller", "rig", "began", "s", "Hz", "tags", "remarks")
     for item in found:
         if item.metadata is None:
-            row(shown, item.path.name, one_line(item.problem, 200), "", "", "")
+            row(shown, item.path.name, *[""] * 7, one_line(item.problem, 200))
             continue
+        remarks = "; ".join(filter(None, [item.state and f"ended early: {item.state}", *item.notes]))
         row(shown, item.path.name, item.metadata.test.get("kind", "-"), item.metadata.controller.get("kind", "-"),
-            number(item.duration, 4), number(item.sample_rate, 4))
+            item.rig or "-", item.began[:16].replace("T", " ") or "-", number(item.duration, 4),
+            number(item.sample_rate, 4), ", ".join(item.tags), one_line(remarks, 120))
     if found:
         console().print(shown)
     else:
-        say(f"{folder}: no runs")
+        say(f"{folder}: no runs" if wanted.wants_all else f"{folder}: no runs of this kind")
 
 
 def _listed(item: Any) -> dict[str, Any]:
     if item.metadata is None:
         return {"file": item.path.name, "problem": item.problem}
     return {"file": item.path.name, "run": item.name, "test": item.metadata.test, "rows": item.rows,
-            "controller": item.metadata.controller, "sample_rate": item.sample_rate}
+            "controller": item.metadata.controller, "sample_rate": item.sample_rate, "rig": item.rig,
+            "began": item.began, "tags": list(item.tags), "notes": list(item.notes), "ended_early": item.state}
+
+
+@command(app, "note", PANEL, 'station note step.mcap "clamp tightened" --tag good')
+def note(
+    run: RunFile,
+    text: Annotated[str | None, typer.Argument(metavar="TEXT", help="A note to add.")] = None,
+    tag: Annotated[list[str] | None, typer.Option("--tag", metavar="TAG", help="Add a tag; may be repeated.")] = None,
+    untag: Annotated[list[str] | None, typer.Option("--untag", metavar="TAG", help="Take a tag away.")] = None,
+) -> None:
+    """Add a note or tags to a run, or show those it has; they are kept beside its file."""
+    from station.runs import annotate, load_run
+    from station.runs.notes import notes_of, tags_of
+
+    metadata = load_run(run).metadata
+    if text or tag or untag:
+        annotate(run, tags=tag, without=untag, note=text)
+    say(f"{run}: tags: {', '.join(tags_of(run, metadata)) or 'none'}")
+    for said in notes_of(run, metadata):
+        say(f"  {one_line(said)}")
+
+
+@command(app, "trim", PANEL, "station trim step.mcap --to 1.5 --out short.mcap")
+def trim(
+    run: RunFile, out: Out,
+    begin: Annotated[float | None, typer.Option("--from", metavar="S", help=(
+        "First row's time, s; the arm must rest there. By default the beginning."))] = None,
+    end: Annotated[float | None, typer.Option("--to", metavar="S", help=(
+        "Last row's time, s; by default the end."))] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Cut a run: the rows from one time to another, as a run of its own; the original stays as it is."""
+    from station.runs import trim as cut
+
+    need_folder(out)
+    if out.exists() and run.exists() and out.samefile(run):
+        raise UsageError(f"--out {out}: is the run itself; name another file")
+    done = cut(run, out, begin, end, overwrite=overwrite)
+    say(_written(out, done, run))
 
 
 @command(app, "recover", PANEL, "station recover broken.mcap --out whole.mcap")
@@ -95,29 +147,86 @@ def recover(run: RunFile, out: Out) -> None:
     say(f"{out}: {found.rows} rows; {state}")
 
 
-@command(app, "replay", PANEL, "station replay step.mcap")
+@command(app, "replay", PANEL, "station replay step.mcap --model sflr")
 def replay(
     run: RunFiles, rig: RigOrNone = None,
+    model: Annotated[str | None, typer.Option("--model", metavar="RIG", help=(
+        "Show the measured run against this rig's simulation: a rig file or built-in name."))] = None,
+    controller: Annotated[str | None, typer.Option("--controller", metavar="NAME", help=(
+        "Another compensator in place of the run's own: open, p, lead, lead-accel, or a TOML file."))] = None,
+    save: Annotated[Path | None, typer.Option("--save", metavar="FILE", help=(
+        "With --model: write measured and simulated as a Rerun recording (.rrd)."))] = None,
     shaped: Annotated[bool, typer.Option("--shaped", help=(
         "Start from the logged reference after the accelerometer loop, where the log has it."))] = False,
     tolerance: Annotated[float, typer.Option("--tolerance", min=0.0, metavar="COUNTS", help=(
         "Difference that still counts as the same command."))] = 1e-3,
     json: Json = None,
 ) -> None:
-    """Work out a run's commands again by its own compensator, and say where and why they are not the logged ones."""
+    """Work out a run's commands again by its own compensator or another, and say where and why they are not the
+    logged ones; with --model, how the simulated rig does the same test.
+    """
+    from dataclasses import replace as changed
+
+    from station.cli.controllers import controller_spec
     from station.rig import load_rig
     from station.runs import compare_replay
 
+    if save is not None and (model is None or save.suffix.lower() != ".rrd"):
+        raise UsageError(f"--save {save}: a recording's name ends in .rrd, and --model says what is drawn beside a run")
+    need_folder(save)
     results = []
     for path, item in zip(run, load_runs(run), strict=True):
-        limit = (load_rig(rig) if rig is not None else rig_of(item, path)).amplifier.limit
+        limit = load_rig(rig).command_limit if rig is not None else _command_limit(item, path)
+        if controller is not None:
+            spec = controller_spec(controller, item.sample_rate)
+            item = changed(item, metadata=item.metadata.model_copy(update={"controller": spec}))
         results.append((item, compare_replay(item, limit, shaped=shaped, tolerance=tolerance)))
+    simulated = _simulated(model, [item for item, _ in results], save) if model is not None else []
     if json:
         write_json(json, {"runs": [
             {"run": item.name, "max_abs_difference": found.max_abs_difference, "row": found.row, "same": found.same,
-             "rows_beyond": found.rows_beyond, "note": found.note} for item, found in results]})
+             "rows_beyond": found.rows_beyond, "note": found.note, **({"model": simulated[i]} if simulated else {})}
+            for i, (item, found) in enumerate(results)]})
         if json == "-":
             return
-    for item, found in results:
+    for i, (item, found) in enumerate(results):
         say(f"{item.name}: largest difference {number(found.max_abs_difference)} counts, row {found.row} of "
-            f"{len(item)}; {found.note}")
+            f"{len(item)}; {found.note if controller is None else f'as {controller} would have had it'}")
+        if simulated:
+            say(f"  {model}: {_against(simulated[i])}")
+    if save is not None:
+        say(f"{save}: measured and simulated")
+
+
+def _command_limit(run: Run, path: Path) -> float:
+    """The limit under which a run was made, else that of its rig."""
+    own = run.metadata.entries().get("command_limit")
+    return float(own) if isinstance(own, int | float) else rig_of(run, path).command_limit
+
+
+def _simulated(model: str, runs: list[Run], save: Path | None) -> list[dict[str, Any]]:
+    """How a rig's simulation does the same tests; drawn beside the measured runs where that is asked for."""
+    from station.cli.models import simulations
+    from station.cli.views import status_names
+    from station.rig import load_rig
+    from station.view.recording import write_recording
+
+    rig = load_rig(model)
+    found = [_measures(run, simulation) for run, simulation in zip(runs, simulations(rig, runs), strict=True)]
+    if save is not None:
+        write_recording(save, runs, rig, status_names=status_names())
+    return found
+
+
+def _measures(run: Run, simulation: Any) -> dict[str, Any]:
+    from station.diagnose.measures import measures
+
+    return measures(run, simulation)
+
+
+def _against(found: dict[str, Any]) -> str:
+    fits = [f"{channel} fits by {100.0 * (1.0 - found[channel]['nrmse']):.1f} %" for channel in ("encoder", "accel")
+            if channel in found]
+    steps = [f"{key.replace('_', ' ')} {number(found['measured'][key])} measured, {number(value)} simulated"
+             for key, value in found["simulated"].items()]
+    return "; ".join([*fits, *steps])

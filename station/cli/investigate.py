@@ -124,7 +124,7 @@ class Folder:
             perform(line, self.rig, controller, test, partial(McapLogWriter, out))
         except (KeyboardInterrupt, WorkError):
             if out.exists():
-                note(f"motor commanded to zero; the rows so far are in {out}")
+                note(f"the rows so far are in {out}")
             raise
         return load_run(out)
 

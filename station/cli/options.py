@@ -18,6 +18,8 @@ RigName = Annotated[str, typer.Option("--rig", metavar="RIG", help="Rig file (TO
 Port = Annotated[str, typer.Option("--port", metavar="PORT", help=(
     "Serial port: a path such as /dev/ttyUSB0 or COM3, any pyserial URL, sim://sflr (the simulated rig) or "
     "replay://FILE (a logged run)."))]
+Baud = Annotated[int | None, typer.Option("--baud", min=300, metavar="RATE", help=(
+    "Baud rate of a board behind a UART, in place of 921600; USB and sockets take no notice."))]
 RunFile = Annotated[Path, typer.Argument(metavar="RUN", help=(
     "Run file: .mcap, .csv, .parquet, .mat, or a laboratory's tab-separated .txt."))]
 RunFiles = Annotated[list[Path], typer.Argument(metavar="RUN...", help=(

@@ -123,11 +123,33 @@ def prbs(rate: float, amplitude: float = 50.0, hold: float = 0.02, bits: int = 9
     return reference
 
 
+def chirp_burst(rate: float, amplitude: float = 50.0, f0: float = 0.5, f1: float = 25.0, length: float = 2.0,
+                pause: float = 1.0, bursts: int = 3, duration: float = 9.2, rest: float = 0.2) -> np.ndarray:
+    """``bursts`` times a sine whose frequency goes from f0 to f1 within ``length``, then ``pause`` at 0.
+
+    Each burst rises and falls over a tenth of its length (Tukey window), so that the free decay in the pause is the
+    rig's own.  Phase 2 pi (f0 t + (f1 - f0) t^2 / 2 length).
+    """
+    if rest + bursts * (length + pause) > duration + 0.5 / rate:
+        raise UsageError(f"test.duration: {bursts:g} bursts of {length:g} s and their pauses want "
+                         f"{rest + bursts * (length + pause):g} s")
+    reference, _ = _time(rest, duration, rate)
+    from scipy.signal.windows import tukey  # as in prbs
+
+    rows = _row(length, rate)
+    time = np.arange(rows) / rate
+    burst = amplitude * tukey(rows, 0.2) * np.sin(2.0 * math.pi * (f0 * time + 0.5 * (f1 - f0) * time**2 / length))
+    for index in range(int(bursts)):
+        begin = _row(rest + index * (length + pause), rate)
+        reference[begin:begin + rows] = burst
+    return reference
+
+
 KINDS: dict[str, Callable[..., np.ndarray]] = {
     "step": step, "pulse": pulse, "pulse_train": pulse_train, "triangle": triangle, "sweep": sweep,
-    "multisine": multisine, "prbs": prbs,
+    "multisine": multisine, "prbs": prbs, "chirp_burst": chirp_burst,
 }
-_POSITIVE = {"duration", "width", "spacing", "period", "hold", "pulses"}
+_POSITIVE = {"duration", "width", "spacing", "period", "hold", "pulses", "length", "bursts"}
 
 
 def defaults(kind: str) -> dict[str, Any]:

@@ -16,6 +16,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import platformdirs
@@ -38,14 +39,15 @@ def sources() -> list[Path]:
 
 def source_hash() -> int:
     """32 bits of the sources' hash: the build number that the device tells."""
-    return int(_digest()[:8], 16)
+    return int(digest()[:8], 16)
 
 
-def _digest() -> str:
-    digest = hashlib.sha256()
-    for path in sources():
-        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
-    return digest.hexdigest()
+def digest(paths: list[Path] | None = None) -> str:
+    """SHA-256 of names and contents; of the host board's sources by default."""
+    found = hashlib.sha256()
+    for path in sources() if paths is None else paths:
+        found.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+    return found.hexdigest()
 
 
 def _flags() -> list[str]:
@@ -81,47 +83,57 @@ def _usable(folder: Path) -> bool:
         return False
 
 
-def compile_library(compiler: list[str], target: Path, flags: tuple[str, ...] = ()) -> None:
-    """Compile the sources to ``target``; WorkError with the compiler's first complaint."""
-    folder = firmware_folder()
-    command = [*compiler, *_flags(), *flags, f"-I{folder / 'core'}", "-o", str(target),
-               *(str(path) for path in sources() if path.suffix == ".c")]
+def compile_c(command: list[str]) -> None:
+    """Run a compiler; WorkError with its first complaint."""
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=_BUILD_SECONDS, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise WorkError(f"{shlex.join(compiler)}: the firmware core cannot be compiled ({error})") from None
+        raise WorkError(f"{command[0]}: the firmware core cannot be compiled ({error})") from None
     if done.returncode:
         lines = [line for line in done.stderr.splitlines() if "error" in line] or done.stderr.splitlines() or ["?"]
-        raise WorkError(f"{shlex.join(compiler)}: the firmware core cannot be compiled ({lines[0]})")
+        raise WorkError(f"{command[0]}: the firmware core cannot be compiled ({lines[0]})")
 
 
-def build() -> Path:
-    """The path of the library, compiled first where there is none for these sources."""
-    key = hashlib.sha256(f"{_digest()} {_flags()} {platform.machine()} {sys.platform}".encode()).hexdigest()[:16]
-    name = f"core-{key}{_SUFFIX}"
+def compile_library(compiler: list[str], target: Path, flags: tuple[str, ...] = ()) -> None:
+    """Compile the sources to ``target``; WorkError with the compiler's first complaint."""
+    compile_c([*compiler, *_flags(), *flags, f"-I{firmware_folder() / 'core'}", "-o", str(target),
+               *(str(path) for path in sources() if path.suffix == ".c")])
+
+
+def keep(name: str, make: Callable[[Path], None]) -> Path:
+    """The kept file of this name; where there is none, ``make(path)`` writes it first."""
     folders = [folder for folder in _folders() if _usable(folder)]
     for folder in folders:
         if (folder / name).is_file():
             return folder / name
     if not folders:
         raise WorkError(f"{_folders()[-1]}: no folder can be written to keep the compiled firmware core")
-    found = compilers()
-    if not found:
-        raise WorkError("no C compiler for the firmware core: install one (cc, gcc, clang), "
-                        "or run `pip install ziglang`")
     with tempfile.TemporaryDirectory(dir=folders[0], prefix="build-") as work:
-        fault = None
-        for compiler in found:
-            try:
-                compile_library(compiler, Path(work) / name)
-                break
-            except WorkError as error:
-                fault = fault or error
-        else:
-            raise fault
+        make(Path(work) / name)
         try:
             os.replace(Path(work) / name, folders[0] / name)
         except OSError as error:
             if not (folders[0] / name).is_file():  # on Windows another process may hold the one it has just made
                 raise WorkError(f"{folders[0] / name}: cannot be written ({error.strerror})") from None
     return folders[0] / name
+
+
+def _compile_with_the_first_that_can(target: Path) -> None:
+    found = compilers()
+    if not found:
+        raise WorkError("no C compiler for the firmware core: install one (cc, gcc, clang), "
+                        "or run `pip install ziglang`")
+    fault = None
+    for compiler in found:
+        try:
+            compile_library(compiler, target)
+            return
+        except WorkError as error:
+            fault = fault or error
+    raise fault
+
+
+def build() -> Path:
+    """The path of the library, compiled first where there is none for these sources."""
+    key = hashlib.sha256(f"{digest()} {_flags()} {platform.machine()} {sys.platform}".encode()).hexdigest()[:16]
+    return keep(f"core-{key}{_SUFFIX}", _compile_with_the_first_that_can)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import secrets
+import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 from station.device.framing import Decoder, encode
+from station.device.limits import NO_LIMITS, DeviceLimits
 from station.device.port import TIMEOUT, Port
 from station.device.protocol import (
     LIMITS,
@@ -16,6 +19,7 @@ from station.device.protocol import (
     PROTOCOL,
     BoardFlags,
     Fault,
+    Reset,
     Result,
     State,
     Status,
@@ -25,6 +29,8 @@ from station.errors import WorkError
 ANSWER_SECONDS = 0.3
 """So long a request waits for its answer before it is sent again."""
 TRIES = 5
+_MOST_BYTES = 100_000
+"""A line that brings more and no answer is not a device's."""
 _IDENTITY = MESSAGES["identity"].code
 _WORDS = {
     Result.WRONG_STATE: "it is {state}",
@@ -33,12 +39,18 @@ _WORDS = {
     Result.NOT_CONFIGURED: "it is not configured since it was last identified",
     Result.OUT_OF_RANGE: "a value is beyond what its firmware allows",
     Result.MOVING: "the arm is moving",
+    Result.ESTOP_OPEN: "its e-stop is open; close it",
+    Result.LINE_TOO_SLOW: "its line cannot carry sample and command in time at this rate; "
+                          "take a higher baud rate, more answer_ticks or a lower sample rate",
 }
 
 
 @dataclass(frozen=True)
 class Identity:
-    """What a device says of itself; rates in Hz, the limit in counts."""
+    """What a device says of itself; rates in Hz, limits in counts, ``allowance`` (of each answer) in s.
+
+    ``baud_rate`` is 0 where the device's line has none; ``reset``: why it was last reset.
+    """
 
     board: str
     build: int
@@ -49,19 +61,28 @@ class Identity:
     rate_max: float
     command_limit: int
     virtual_time: bool
-    reset: int
+    reset: Reset | int
     state: State
+    limits: DeviceLimits = NO_LIMITS
+    baud_rate: int = 0
+    allowance: float = 0.0
 
     @property
     def zero_id(self) -> str:
         """Names the encoder's zero: the same until the device is powered down or zeroed."""
         return f"{self.boot:08x}.{self.zeroings}"
 
+    @property
+    def reset_words(self) -> str:
+        """Why it was last reset, for people."""
+        return self.reset.name.lower() if isinstance(self.reset, Reset) else f"code {self.reset}"
+
     def summary(self) -> dict[str, Any]:
         """For a run's metadata."""
         return {"board": self.board, "build": f"{self.build:08x}", "protocol": PROTOCOL.version,
                 "protocol_hash": f"{PROTOCOL.hash:08x}", "boot": f"{self.boot:08x}",
-                "command_limit": self.command_limit, "clock_hz": self.clock_hz, "virtual_time": self.virtual_time}
+                "command_limit": self.command_limit, "clock_hz": self.clock_hz, "virtual_time": self.virtual_time,
+                "reset": self.reset_words}
 
 
 class Client:
@@ -77,42 +98,48 @@ class Client:
         self.inbox: deque[bytes] = deque()
         self.session = self.last_session = 0
         self.paced = True
-        self._tries = 0
+        self._tries = self._seen = 0
         self._challenge = 0
+        self._limits = NO_LIMITS
+
+    def _once(self, data: bytes, accept: Callable[[bytes], Any]) -> Any:
+        """Send and wait for the first body that ``accept`` makes something of; the others are kept in ``inbox``.
+
+        None where nothing came within ANSWER_SECONDS, whatever else did: a line that babbles holds nobody up.
+        """
+        self.port.write(data)
+        waited, end = 0.0, time.perf_counter() + ANSWER_SECONDS
+        while waited < ANSWER_SECONDS and time.perf_counter() < end and self._seen <= _MOST_BYTES:
+            data = self.port.read_waiting()
+            if not data:
+                waited += TIMEOUT
+            self._seen += len(data)
+            found = None
+            for body in self.decoder.feed(data):
+                taken = accept(body) if found is None else None
+                if taken is None:
+                    self.inbox.append(body)
+                else:
+                    found = taken
+            if found is not None:
+                return found
+        return None
 
     def _request(self, name: str, answer: str, before: bytes = b"", **values: Any) -> Any:
-        """Send until the answer comes; other frames that come meanwhile are kept in ``inbox``.
-
-        ``before``: bytes sent together with it.
-        """
+        """Send until the answer comes.  ``before``: bytes sent together with it."""
         wanted, code = MESSAGES[answer], MESSAGES[name].code
-        frame = encode(MESSAGES[name].pack(**values))
-        seen = 0
-        for self._tries in range(1, TRIES + 1):
-            self.port.write(before + frame)
-            waited = 0.0
-            while waited < ANSWER_SECONDS:
-                data = self.port.read_waiting()
-                if not data:
-                    waited += TIMEOUT
-                seen += len(data)
-                found = None
-                for body in self.decoder.feed(data):
-                    if body[0] != wanted.code or found is not None:
-                        self.inbox.append(body)
-                    elif body[0] == _IDENTITY:
-                        self._require_protocol(body)
-                        found = wanted.unpack(body)
-                    else:
-                        message = wanted.unpack(body)
-                        if answer != "reply" or message.request == code:
-                            found = message
-                if found is not None:
-                    return found
-                if seen > 100_000:
-                    break
-        if answer == "identity":
-            raise self._no_station(seen)
+        frame = before + encode(MESSAGES[name].pack(**values))
+
+        def accept(body: bytes) -> Any:
+            if body[0] != wanted.code:
+                return None
+            message = wanted.unpack(body)
+            return message if answer != "reply" or message.request == code else None
+
+        self._seen = 0
+        for _ in range(TRIES):
+            if (found := self._once(frame, accept)) is not None:
+                return found
         raise WorkError(f"{self.port.url}: no answer to {name}; the device is gone or the line is bad")
 
     def _no_station(self, seen: int) -> WorkError:
@@ -120,6 +147,14 @@ class Client:
             return WorkError(f"{self.port.url}: not a Station device ({seen} bytes came, none of them an answer); "
                              "check port, firmware and baud rate")
         return WorkError(f"{self.port.url}: no Station device answers; check port, cable and firmware")
+
+    def _identity(self, body: bytes, nonce: int) -> Any:
+        """The identity that answers this very request; one that the line has stored is not it."""
+        if body[0] != _IDENTITY:
+            return None
+        self._require_protocol(body)
+        found = MESSAGES["identity"].unpack(body)
+        return found if found.nonce == nonce else None
 
     def _require_protocol(self, body: bytes) -> None:
         version, number = int.from_bytes(body[1:3], "little"), int.from_bytes(body[3:7], "little")
@@ -137,33 +172,44 @@ class Client:
                             f"{words.format(state=state_words(reply.state, reply.fault))}")
         return reply
 
-    def identify(self) -> Identity:
+    def identify(self, tries: int = TRIES) -> Identity:
         """Ask who is there; WorkError for what is no Station device or speaks another protocol.
 
         Takes the device to idle, motor at zero, should a run of another host be on.
         """
         self.session = self.decoder.session = 0
-        found = self._request("identify", "identity", b"\0", version=PROTOCOL.version, hash=PROTOCOL.hash)
-        while self._tries > 1 and (data := self.port.read_waiting()):
-            self.inbox.extend(self.decoder.feed(data))
-        for body in self.inbox:  # each try is answered, and the last answer counts
-            if body[0] == _IDENTITY and len(body) == MESSAGES["identity"].body_size:
-                found = MESSAGES["identity"].unpack(body)
+        found, self._seen = None, 0
+        for self._tries in range(1, tries + 1):
+            nonce = secrets.randbits(16)
+            frame = encode(MESSAGES["identify"].pack(version=PROTOCOL.version, hash=PROTOCOL.hash, nonce=nonce))
+            found = self._once(b"\0" + frame, lambda body, nonce=nonce: self._identity(body, nonce))
+            if found is not None:
+                break
+        else:
+            raise self._no_station(self._seen)
         self.inbox.clear()  # the rest is of an earlier connection
         self._challenge = found.challenge
         self.paced = not found.flags & BoardFlags.VIRTUAL_TIME
+        self._limits = DeviceLimits(found.travel_limit, found.speed_limit, found.stall_command, found.stall_time)
+        reset = Reset(found.reset) if found.reset in Reset._value2member_map_ else found.reset
         return Identity(found.board, found.build, found.boot, found.zeroings, found.clock_hz,
                         found.rate_min / 1000.0, found.rate_max / 1000.0, found.command_limit,
-                        bool(found.flags & BoardFlags.VIRTUAL_TIME), found.reset, State(found.state))
+                        bool(found.flags & BoardFlags.VIRTUAL_TIME), reset, State(found.state), self._limits,
+                        found.baud_rate, found.allowance * 1e-6)
 
     def configure(self, rate: float, command_limit: int, hold_ticks: int | None = None,
-                  fault_ticks: int | None = None, answer_ticks: int = 1) -> None:
-        """Set rate (Hz) and limits; by default hold 1 tick, fault after 10 ticks or 50 ms, the shorter."""
+                  fault_ticks: int | None = None, answer_ticks: int = 1, limits: DeviceLimits | None = None) -> None:
+        """Set rate (Hz) and limits; by default hold 1 tick, fault after 10 ticks or 50 ms, the shorter.
+
+        ``limits`` (``DeviceLimits.of_rig(rig)``) tighten the device's own and never loosen them.
+        """
         longest = max(2, int(rate * LIMITS["fault_time_max_ms"] / 1000.0))
         fault_ticks = min(LIMITS["fault_ticks_default"], longest) if fault_ticks is None else fault_ticks
         hold_ticks = LIMITS["hold_ticks_default"] if hold_ticks is None else hold_ticks
+        held = (limits or NO_LIMITS).within(self._limits)
         self._ask("configure", rate=round(rate * 1000.0), command_limit=command_limit, hold_ticks=hold_ticks,
-                  fault_ticks=fault_ticks, answer_ticks=answer_ticks)
+                  fault_ticks=fault_ticks, answer_ticks=answer_ticks, travel_limit=held.travel,
+                  speed_limit=held.speed, stall_command=held.stall_command, stall_time=held.stall_time)
 
     def arm(self) -> None:
         """Arm, with the challenge of the last identify."""
@@ -172,7 +218,7 @@ class Client:
     def start(self) -> int:
         """Start a session under a new random number, which is returned; samples come from now on."""
         self.session = self.last_session = self.decoder.session = secrets.randbelow(0xFFFF) + 1
-        reply = self._request("start", "reply", session=self.session)
+        reply = self._request("start", "reply", session=self.session, challenge=self._challenge)
         if reply.state != State.RUNNING:
             raise WorkError(f"{self.port.url}: the device refuses to start: "
                             f"it is {state_words(reply.state, reply.fault)}")

@@ -11,6 +11,7 @@ from cffi import FFI
 from station.device import header
 from station.device.build import build, source_hash
 from station.device.firmware import firmware_folder
+from station.device.limits import NO_LIMITS, DeviceLimits
 from station.device.protocol import PROTOCOL, State
 from station.errors import WorkError
 
@@ -19,7 +20,7 @@ _BEGIN, _END = "/* declarations: begin", "/* declarations: end"
 
 def _declarations() -> str:
     """The protocol's declarations and the marked parts of the core's and the host board's sources."""
-    parts = [header.declarations()]
+    parts = [header.declarations(), header.states_declarations()]
     for name in ("core/core.h", "boards/host/host.c"):
         text = (firmware_folder() / name).read_text(encoding="utf-8")
         part = text[text.index(_BEGIN):text.index(_END)]
@@ -52,7 +53,7 @@ def library() -> tuple[FFI, Any]:
 
 @dataclass(frozen=True)
 class Board:
-    """What the host board says of itself; rates in mHz, the limit in counts."""
+    """What the host board says of itself; rates in mHz, limits in counts, the allowance in us."""
 
     name: str
     rate: int
@@ -60,6 +61,19 @@ class Board:
     boot: int
     clock_hz: int = 1_000_000
     flags: int = 0
+    limits: DeviceLimits = NO_LIMITS
+    baud_rate: int = 0
+    allowance: int = 0
+    rate_min: int = 0
+    """0: the same as ``rate``."""
+
+    def structure(self, build: int) -> dict[str, Any]:
+        """The fields of a station_board."""
+        return {"boot": self.boot, "clock_hz": self.clock_hz, "rate_min": self.rate_min or self.rate,
+                "rate_max": self.rate, "build": build, "command_limit": self.command_limit, "flags": self.flags,
+                "baud_rate": self.baud_rate, "allowance": self.allowance, "travel_limit": self.limits.travel,
+                "speed_limit": self.limits.speed, "stall_command": self.limits.stall_command,
+                "stall_time": self.limits.stall_time, "name": self.name.encode("ascii", "replace")[:16]}
 
 
 class Core:
@@ -70,10 +84,7 @@ class Core:
         self._core = self._ffi.new("station_core *")
         self._input = self._ffi.new("station_input *")
         self._output = self._ffi.new("station_output *")
-        described = self._ffi.new("station_board *", {
-            "boot": board.boot, "clock_hz": board.clock_hz, "rate_min": board.rate, "rate_max": board.rate,
-            "build": source_hash(), "command_limit": board.command_limit, "flags": board.flags,
-            "name": board.name.encode("ascii", "replace")[:16]})
+        described = self._ffi.new("station_board *", board.structure(source_hash()))
         self._lib.station_init(self._core, described, entropy & 0xFFFFFFFF)
         self._size, self._slots = self._lib.STATION_TRANSMIT_BYTES, self._lib.STATION_SLOTS
         self._bytes = self._ffi.new("uint8_t[]", self._size)
@@ -95,9 +106,14 @@ class Core:
         self._lib.station_tick(self._core, given, self._output)
         return self._output.drive
 
-    def transmit(self) -> bytes:
-        """Bytes for the line, taken away."""
-        return self._buffer[:self._lib.station_transmit(self._core, self._bytes, self._size)]
+    def transmit(self, most: int | None = None) -> bytes:
+        """Bytes for the line, ``most`` at most, taken away."""
+        return self._buffer[:self._lib.station_transmit(self._core, self._bytes, self._size if most is None else most)]
+
+    @property
+    def waiting(self) -> int:
+        """Bytes that wait for the line."""
+        return self._core.transmit
 
     @property
     def state(self) -> State:
@@ -119,6 +135,17 @@ class Core:
     def drive(self) -> int:
         """The drive applied now, counts."""
         return self._core.drive
+
+    @property
+    def command_limit(self) -> int:
+        """The limit in force, counts."""
+        return self._core.config.command_limit
+
+    @property
+    def enabled(self) -> bool:
+        """The drive's enable pin, as the board would set it now."""
+        self._lib.station_present(self._core, self._output)
+        return bool(self._output.enable)
 
     @property
     def answered(self) -> bool:

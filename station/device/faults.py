@@ -1,4 +1,5 @@
-"""Faults of the line and the device, put in for tests: frames lost, flipped, repeated or late; silence; a pulled cable.
+"""Faults of the line and the device, put in for tests: frames lost, flipped, repeated, late or
+overtaken; silence; a pulled cable.
 
 They touch samples and commands alone, so that a run can be set up and every fault put in can be counted against
 what host and device report.  A flip changes one bit inside a frame and neither makes nor breaks a delimiter: one
@@ -11,9 +12,10 @@ import random
 from collections import Counter
 from dataclasses import dataclass
 
-from cobs import cobs
-
 from station.device.protocol import MESSAGE_OF_CODE
+
+_NEVER = {"late": "sample", "reorder": "command"}
+"""A fault, and the frames that it does not touch."""
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,7 @@ class Faults:
     flip: float = 0.0
     duplicate: float = 0.0
     late: float = 0.0
+    reorder: float = 0.0
     on: tuple[str, ...] = ("sample", "command")
     silent_after: int | None = None
     unplug_after: int | None = None
@@ -31,7 +34,12 @@ class Faults:
     @property
     def on_frames(self) -> bool:
         """Whether frames are touched at all."""
-        return any((self.drop, self.flip, self.duplicate, self.late))
+        return any((self.drop, self.flip, self.duplicate, self.late, self.reorder))
+
+    @property
+    def any(self) -> bool:
+        """Whether there is a fault at all."""
+        return self.on_frames or self.silent_after is not None or self.unplug_after is not None
 
 
 class FaultyLine:
@@ -42,6 +50,7 @@ class FaultyLine:
         self.counts: Counter[tuple[str, str]] = Counter()
         self._random = random.Random(seed)
         self._late: list[bytes] = []
+        self._overtaken: dict[str, bytes] = {}
         self._rest = {"host": b"", "device": b""}
 
     def _flipped(self, frame: bytes) -> bytes:
@@ -52,13 +61,18 @@ class FaultyLine:
 
     def _touch(self, frame: bytes) -> bytes:
         try:
-            name = MESSAGE_OF_CODE[cobs.decode(frame[:-1])[0]].name
-        except (cobs.DecodeError, IndexError, KeyError):
+            name = MESSAGE_OF_CODE[frame[1]].name
+        except (IndexError, KeyError):
             return frame
         if name not in self.faults.on or name not in ("sample", "command"):
             return frame
-        for kind in ("drop", "flip", "duplicate", "late"):
-            if (kind == "late" and name == "sample") or self._random.random() >= getattr(self.faults, kind):
+        overtaken = self._overtaken.pop(name, b"")
+        return frame + overtaken if overtaken else self._hit(name, frame)
+
+    def _hit(self, name: str, frame: bytes) -> bytes:
+        """The frame with at most one fault."""
+        for kind in ("drop", "flip", "duplicate", "late", "reorder"):
+            if _NEVER.get(kind) == name or self._random.random() >= getattr(self.faults, kind):
                 continue
             self.counts[name, kind] += 1
             if kind == "drop":
@@ -67,6 +81,9 @@ class FaultyLine:
                 return self._flipped(frame)
             if kind == "duplicate":
                 return frame + frame
+            if kind == "reorder":
+                self._overtaken[name] = frame  # it comes after the next one of its kind
+                return b""
             self._late.append(frame)
             return b""
         return frame

@@ -1,7 +1,5 @@
-"""Frames on the wire: COBS, CRC-16, one zero byte at the end.  No input or output here: bytes in, bytes out.
-
-CRC-16 CCITT (``binascii.crc_hqx``) over the body, started at 0xFFFF XOR the session number, sent high byte first,
-so that the CRC over body and CRC is 0.
+"""Frames on the wire: COBS, three bytes of check, one zero byte at the end.  No input or output here: bytes in, bytes
+out.  firmware/protocol.toml says what the check is.
 """
 
 from __future__ import annotations
@@ -14,35 +12,58 @@ from station.device.protocol import LIMITS, MESSAGE_OF_CODE, MESSAGES
 
 CRC_START = 0xFFFF
 _FRAME_BYTES = LIMITS["frame_bytes"]
+_CHECK_BYTES = LIMITS["check_bytes"]
 _IDENTITY = MESSAGES["identity"].code
 _IDENTITY_PREFIX = 7
 
 
+def _check(crc: int) -> int:
+    """The three bytes that carry a CRC, as one number."""
+    return 0x404040 | (crc & 0xFC00) << 6 | (crc & 0x03E0) << 3 | crc & 0x1F
+
+
 def encode(body: bytes, session: int = 0) -> bytes:
     """The frame of a body, delimiter included; ``session`` 0 for frames of scope "link"."""
-    return cobs.encode(body + crc_hqx(body, CRC_START ^ session).to_bytes(2, "big")) + b"\0"
+    stuffed = cobs.encode(body)
+    return stuffed + (_check(crc_hqx(stuffed, CRC_START ^ session)) << 8).to_bytes(4, "big")
 
 
 def decode(frame: bytes, session: int = 0) -> bytes | None:
-    """The body of a frame (without its delimiter), or None where COBS, CRC or length do not pass.
+    """The body of a frame (without its delimiter), or None where COBS, check or length do not pass.
 
     The session number counts for messages of scope "session" alone.  An identity of another protocol version may
     have another length: its first two fields tell.
     """
-    try:
-        raw = cobs.decode(frame)
-    except cobs.DecodeError:
+    if len(frame) < _CHECK_BYTES + 2:
         return None
-    if len(raw) < 3:
-        return None
-    message = MESSAGE_OF_CODE.get(raw[0])
+    message = MESSAGE_OF_CODE.get(frame[1])
     if message is None:
         return None
-    if len(raw) != message.body_size + 2 and (raw[0] != _IDENTITY or len(raw) < _IDENTITY_PREFIX + 2):
+    stuffed = frame[:-_CHECK_BYTES]
+    crc = crc_hqx(stuffed, CRC_START ^ session if message.in_session else CRC_START)
+    if int.from_bytes(frame[-_CHECK_BYTES:], "big") != _check(crc):
         return None
-    if crc_hqx(raw, CRC_START ^ session if message.in_session else CRC_START):
+    try:
+        body = cobs.decode(stuffed)
+    except cobs.DecodeError:
         return None
-    return raw[:-2]
+    if len(body) != message.body_size and (frame[1] != _IDENTITY or len(body) < _IDENTITY_PREFIX):
+        return None
+    return body if body[0] == message.code else None
+
+
+def any_body(frame: bytes) -> bytes | None:
+    """The body of a frame of scope "link" whose check passes, of whatever message and length; else None.
+
+    For a device of another protocol: what it sends is not what this Station expects, but it is sent well.
+    """
+    stuffed = frame[:-_CHECK_BYTES]
+    if len(stuffed) < 2 or int.from_bytes(frame[-_CHECK_BYTES:], "big") != _check(crc_hqx(stuffed, CRC_START)):
+        return None
+    try:
+        return cobs.decode(stuffed) or None
+    except cobs.DecodeError:
+        return None
 
 
 class Decoder:

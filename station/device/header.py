@@ -1,4 +1,7 @@
-"""Writes firmware/core/protocol.h and protocol.c from the protocol definition: ``python -m station.device.header``."""
+"""Writes the generated sources in firmware/core: ``python -m station.device.header``.
+
+protocol.h and protocol.c come from firmware/protocol.toml, states.h and states.c from firmware/states.toml.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,12 @@ from pathlib import Path
 
 from station.device.firmware import firmware_folder
 from station.device.protocol import PROTOCOL, Field, Message, Protocol
+from station.device.states import EVENTS, counters
 
 _C_TYPES = {"u8": "uint8_t", "i8": "int8_t", "u16": "uint16_t", "i16": "int16_t", "u32": "uint32_t", "i32": "int32_t"}
 _NOTICE = "/* Written by `python -m station.device.header` from firmware/protocol.toml.  Do not edit. */\n"
+_STATES_NOTICE = _NOTICE.replace("protocol.toml", "states.toml")
+_WORDS = {"refused": "STATION_REFUSED", "foreign": "STATION_FOREIGN", "never": "STATION_NEVER"}
 
 
 def _constants(protocol: Protocol) -> list[str]:
@@ -154,11 +160,80 @@ def source(protocol: Protocol = PROTOCOL) -> str:
     return "\n".join([*lines, "    default: return 0;", "    }", "}", ""])
 
 
+def states_declarations() -> str:
+    """Events, counters and the table's type, as a C parser needs them."""
+    events = "".join(f"    STATION_EVENT_{name.upper()},\n" for name in EVENTS)
+    counts = "".join(f"    STATION_COUNT_{name.upper()},\n" for name in counters())
+    return f"""enum {{
+    STATION_STATES = {len(PROTOCOL.enums["state"])},
+    STATION_REFUSED = 0xff,
+    STATION_FOREIGN = 0xfe,
+    STATION_NEVER = 0xfd
+}};
+
+enum {{
+{events}    STATION_EVENTS
+}};
+
+enum {{
+    STATION_COUNT_NONE,
+{counts}    STATION_COUNTS
+}};
+
+typedef struct {{
+    uint8_t next;    /* the state after the event, or one of the three words above */
+    uint8_t counter; /* STATION_COUNT_... */
+    uint8_t fault;   /* set where it leads into fault */
+}} station_cell;
+
+extern const station_cell station_cells[STATION_STATES][STATION_EVENTS];
+"""
+
+
+def states_header() -> str:
+    """The text of states.h."""
+    return f"""{_STATES_NOTICE}
+#ifndef STATION_STATES_H
+#define STATION_STATES_H
+
+#include <stdint.h>
+
+#include "protocol.h"
+
+{states_declarations()}
+void station_fill_statistics(const uint32_t *counts, station_statistics *out);
+
+#endif
+"""
+
+
+def states_source() -> str:
+    """The text of states.c."""
+    lines = [_STATES_NOTICE, '#include "states.h"', "",
+             "const station_cell station_cells[STATION_STATES][STATION_EVENTS] = {"]
+    for state in PROTOCOL.enums["state"]:
+        lines.append(f"    [STATION_STATE_{state.upper()}] = {{")
+        for event in EVENTS.values():
+            after = event.cells[state]
+            parts = (_WORDS.get(after, f"STATION_STATE_{after.upper()}"),
+                     f"STATION_COUNT_{(event.counter_in(state) or 'none').upper()}",
+                     f"STATION_FAULT_{(event.fault_in(state) or 'none').upper()}")
+            lines.append(f"        [STATION_EVENT_{event.name.upper()}] = {{{', '.join(parts)}}},")
+        lines.append("    },")
+    lines += ["};", "", "void station_fill_statistics(const uint32_t *counts, station_statistics *out)", "{"]
+    lines += [f"    out->{name} = counts[STATION_COUNT_{name.upper()}];" for name in counters()]
+    return "\n".join([*lines, "}", ""])
+
+
+def generated() -> dict[str, str]:
+    """File name and text of everything that is written into ``firmware/core``."""
+    return {"protocol.h": header(), "protocol.c": source(), "states.h": states_header(), "states.c": states_source()}
+
+
 def write(folder: Path | None = None) -> None:
-    """Write both files into ``firmware/core``."""
-    folder = folder or firmware_folder() / "core"
-    (folder / "protocol.h").write_text(header(), encoding="utf-8", newline="\n")
-    (folder / "protocol.c").write_text(source(), encoding="utf-8", newline="\n")
+    """Write them."""
+    for name, text in generated().items():
+        ((folder or firmware_folder() / "core") / name).write_text(text, encoding="utf-8", newline="\n")
 
 
 if __name__ == "__main__":

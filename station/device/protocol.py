@@ -61,8 +61,8 @@ class Message:
 
     @property
     def wire_size(self) -> int:
-        """Bytes of the frame: body, CRC, one byte of COBS (enough below 254 bytes), delimiter."""
-        return self.struct.size + 4
+        """Bytes of the frame: one byte of COBS (enough below 254 bytes), body, check, delimiter."""
+        return self.struct.size + 5
 
     @cached_property
     def values(self) -> Any:

@@ -8,17 +8,18 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import select
+import selectors
 import signal
 import socket
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 
+from station.device.emulator import Emulator
 from station.device.faults import Faults
 from station.device.pacing import run_device
 from station.device.simulated import Options, SimulatedDevice
@@ -27,6 +28,8 @@ from station.rig import Rig, load_rig
 
 LOOPBACK = "127.0.0.1"
 _CHUNK = 4096
+MAX_CONNECTIONS = 16
+"""Hosts that may be connected at once; for one more the oldest that does not run a session is dropped."""
 
 
 class _PseudoTerminal:
@@ -97,7 +100,10 @@ class _Exchange:
         self._device = device
         self._terminal = _PseudoTerminal() if pty else None
         self._listener: socket.socket | None = None
-        self._ends: list[_PseudoTerminal | _Connection] = [self._terminal] if self._terminal else []
+        self._ends = selectors.SelectSelector()  # the others wait whole milliseconds: a tick would be late
+        self._connections: list[_Connection] = []
+        if self._terminal:
+            self._ends.register(self._terminal, selectors.EVENT_READ)
         self._active: _PseudoTerminal | _Connection | None = None
         if tcp_port is not None:
             self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
@@ -109,8 +115,9 @@ class _Exchange:
                 self.close()
                 raise WorkError(f"{LOOPBACK}:{tcp_port}: cannot listen ({error.strerror}); "
                                 "choose another port") from None
-            self._listener.listen(4)
+            self._listener.listen(64)
             self._listener.setblocking(False)
+            self._ends.register(self._listener, selectors.EVENT_READ)
 
     @property
     def path(self) -> str | None:
@@ -129,13 +136,13 @@ class _Exchange:
 
     def receive(self, timeout: float) -> bytes:
         """Bytes from the active host; b"" where none came within timeout seconds."""
-        watched = [*self._ends, self._listener] if self._listener else self._ends
-        ready = select.select(watched, [], [], timeout)[0]
         data = b""
-        for end in ready:
+        for ready, _ in self._ends.select(timeout):
+            end = ready.fileobj
             if end is self._listener:
-                with contextlib.suppress(OSError):
-                    self._ends.append(_Connection(self._listener.accept()[0]))
+                self._accept()
+                continue
+            if end is not self._terminal and end not in self._connections:  # dropped to make room
                 continue
             got = end.read()
             if got is None:
@@ -152,17 +159,31 @@ class _Exchange:
         if self._active is not None:
             self._active.write(data)
 
+    def _accept(self) -> None:
+        """Take the hosts that wait; where there are MAX_CONNECTIONS the oldest idle one makes room."""
+        for _ in range(MAX_CONNECTIONS):
+            try:
+                end = _Connection(self._listener.accept()[0])
+            except OSError:
+                return
+            self._ends.register(end, selectors.EVENT_READ)
+            self._connections.append(end)
+            if len(self._connections) > MAX_CONNECTIONS:
+                self._drop(next(idle for idle in self._connections if idle is not self._active))
+
     def _drop(self, end: _Connection) -> None:
-        self._ends.remove(end)
+        self._ends.unregister(end)
+        self._connections.remove(end)
         end.close()
         if end is self._active:
             self._active = None
 
     def close(self) -> None:
-        for end in self._ends:
-            end.close()
+        for key in list(self._ends.get_map().values()):
+            key.fileobj.close()
         if self._listener is not None:
             self._listener.close()
+        self._ends.close()
 
 
 @dataclass(frozen=True)
@@ -175,18 +196,23 @@ class Addresses:
 
 def serve(rig: Rig, pty: bool = True, tcp_port: int | None = None, speed: int = 1, seed: int | None = None,
           ready_callback: Callable[[Addresses], None] | None = None, *, options: Options | None = None,
-          stop: threading.Event | None = None) -> None:
+          stop: threading.Event | None = None, board: str = "host") -> None:
     """Serve the simulated rig until ``stop`` is set or an exception (Ctrl-C) comes.
 
     tcp_port: 0 for any free one, None for none.  ``options`` takes the place of speed and seed.
-    ``ready_callback`` is told the addresses once the device answers.  UsageError where a pseudo-terminal is wanted
-    and the platform has none, WorkError where the port is taken.
+    ``ready_callback`` is told the addresses once the device answers.  ``board``: ``host``, or the name of one that is
+    emulated, which offers one address alone.  UsageError where a pseudo-terminal is wanted and the platform has none,
+    WorkError where the port is taken.
     """
     if pty and not hasattr(os, "ttyname"):
         raise UsageError("pseudo-terminal: this platform has none; use a TCP port")
     if not pty and tcp_port is None:
         raise UsageError("device: neither a pseudo-terminal nor a TCP port was asked for")
-    device = SimulatedDevice.of_rig(rig, options or Options(speed=speed, seed=seed))
+    options = options or Options(speed=speed, seed=seed)
+    if board != "host":
+        _serve_emulated(board, rig, options, pty, tcp_port, ready_callback, stop or threading.Event())
+        return
+    device = SimulatedDevice.of_rig(rig, options)
     exchange = _Exchange(device, pty, tcp_port)
     try:
         if ready_callback is not None:
@@ -197,13 +223,26 @@ def serve(rig: Rig, pty: bool = True, tcp_port: int | None = None, speed: int = 
         exchange.close()
 
 
+def _serve_emulated(board: str, rig: Rig, options: Options, pty: bool, tcp_port: int | None,
+                    ready_callback: Callable[[Addresses], None] | None, stop: threading.Event) -> None:
+    if pty and tcp_port is not None:
+        raise UsageError(f"{board}: it has one line; ask for a pseudo-terminal or for a TCP port")
+    with Emulator(rig, options, board, tcp_port or 0, pty) as emulator:
+        if ready_callback is not None:
+            ready_callback(Addresses(*((emulator.url, None) if pty else (None, emulator.url))))
+        while not stop.wait(0.2):
+            if not emulator.thread.is_alive():
+                raise WorkError(f"{board}: the emulator has ended")
+
+
 class DeviceProcess:
     """``serve`` in a process of its own, for as long as the context lasts; ``addresses`` say where."""
 
     def __init__(self, rig: str, pty: bool = True, tcp: bool = True, speed: int = 1, seed: int | None = None,
-                 noise: float = 0.0) -> None:
+                 noise: float = 0.0, board: str = "host", options: Sequence[str] = ()) -> None:
         self._arguments = [sys.executable, "-m", "station.device.server", "--rig", str(rig), "--speed", str(speed),
-                           "--noise", str(noise), *(["--pty"] if pty else []), *(["--tcp", "0"] if tcp else []),
+                           "--noise", str(noise), "--board", board, *options, *(["--pty"] if pty else []),
+                           *(["--tcp", "0"] if tcp else []),
                            *([] if seed is None else ["--seed", str(seed)])]
         self.addresses = Addresses(None, None)
         self.process: subprocess.Popen[str] | None = None
@@ -237,6 +276,9 @@ def main() -> int:
     parser.add_argument("--speed", type=int, choices=(0, 1), default=1)
     parser.add_argument("--seed", type=int)
     parser.add_argument("--noise", type=float, default=0.0)
+    parser.add_argument("--angle", type=float, default=0.0)
+    parser.add_argument("--accel-offset", type=float, default=0.0)
+    parser.add_argument("--board", default="host")
     wanted = parser.parse_args()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's; the device stays to take its stop
     stop = threading.Event()
@@ -250,7 +292,8 @@ def main() -> int:
     threading.Thread(target=watch_parent, daemon=True).start()
     try:
         serve(load_rig(wanted.rig), wanted.pty, wanted.tcp, stop=stop,
-              options=Options(speed=wanted.speed, seed=wanted.seed, noise=wanted.noise, faults=Faults()),
+              options=Options(wanted.speed, wanted.seed, wanted.noise, wanted.angle, wanted.accel_offset, Faults()),
+              board=wanted.board,
               ready_callback=lambda found: print(found.pty or "-", found.tcp or "-", flush=True))
     except StationError as error:
         print(error, file=sys.stderr)

@@ -10,14 +10,18 @@ from typing import Protocol
 
 from station.device.core import Board, Core
 from station.device.faults import Faults, FaultyLine
-from station.device.protocol import BoardFlags, InputFlags
+from station.device.limits import NO_LIMITS, DeviceLimits
+from station.device.protocol import LIMITS, BoardFlags, InputFlags
 from station.errors import UsageError
 from station.model import stepper
+from station.model.effects.base import Stage
 from station.model.simulate import Plant, initial_state
 from station.rig import Rig
 
 _INT16 = 0x7FFF
 CLOCK_HZ = 1_000_000
+BRAKED_AFTER = 2e-3 * LIMITS["rest_time_ms"]
+"""So long (s) an arm that coasts must stay within one count before it is held: twice what a device calls rest."""
 
 
 class Source(Protocol):
@@ -48,8 +52,30 @@ class _Rig(Plant):
         self._out[:] = stepper.sense(self.model.plan, self._state, self._offset + accel_noise, True)
 
 
+def idle_command(rig: Rig) -> float:
+    """The command (counts) at which the rig's drive pushes neither way, its bias included: a drive that is off.
+
+    Found by bisection, as every law of the command chain rises with its command.
+    """
+    chain = sorted((e for e in rig.effects if e.stage is Stage.COMMAND and not e.states), key=lambda e: e.order)
+
+    def out(count: float) -> float:
+        for effect in chain:
+            count = type(effect).law(count, 0.0, rig.amplifier.limit, effect.arguments(rig), [0.0], 0.0)
+        return count
+
+    low, high = -rig.amplifier.limit, rig.amplifier.limit
+    if out(0.0) == 0.0 or out(low) > 0.0 or out(high) < 0.0:
+        return 0.0
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if out(middle) < 0.0 else (low, middle)
+    return 0.5 * (low + high)
+
+
 class PlantSource:
-    """The plant model of a rig, held still between sessions and released at the begin of each.
+    """The plant model of a rig.  Where the drive is off the arm coasts, until it rests and a brake holds it; each
+    session releases it at rest where it stands.
 
     ``noise`` is the accelerometer's standard deviation, counts; it joins a reading before that is clipped and rounded.
     """
@@ -58,6 +84,10 @@ class PlantSource:
         self._plant = _Rig(rig, angle, accel_offset)
         self._noise = noise
         self._gauss = random.Random(seed).gauss
+        self._idle = idle_command(rig)
+        self._rest_ticks = max(math.ceil(BRAKED_AFTER * rig.sample_rate), 1)
+        self._resting = self._rest_ticks  # ticks for which the arm has stayed within one count of ``_rested``
+        self._rested = 0
 
     def _drawn(self) -> float:
         return self._gauss(0.0, self._noise) if self._noise else 0.0
@@ -72,9 +102,16 @@ class PlantSource:
         return encoder, min(max(accel, -_INT16), _INT16)
 
     def advance(self, drive: int, enabled: bool) -> None:
-        """Hold the drive to the next tick; where it is not enabled a brake holds the rig."""
+        """Hold the drive to the next tick; where it is not enabled the arm coasts to rest."""
         if enabled:
             self._plant.advance(drive, self._drawn())
+            self._resting = 0
+        elif self._resting < self._rest_ticks:
+            self._plant.advance(self._idle, self._drawn())
+            encoder, _ = self._plant.sample()
+            if self._resting == 0 or abs(encoder - self._rested) > 1:
+                self._rested, self._resting = encoder, 0
+            self._resting += 1
         elif self._noise:
             self._plant.stay(self._drawn())
 
@@ -94,15 +131,23 @@ class Options:
     faults: Faults = field(default_factory=Faults)
 
 
+def rig_source(rig: Rig, options: Options) -> tuple[PlantSource, float, int]:
+    """The plant behind a device, the true sample period (s), and the number of this power-up."""
+    boot = random.getrandbits(32) if options.seed is None else zlib.crc32(f"{options} {rig.to_toml()}".encode())
+    scale = next((effect.ratio for effect in rig.effects if effect.name == "clock_scale"), 1.0)
+    return PlantSource(rig, options.angle, options.accel_offset, options.noise, boot), rig.period * scale, boot
+
+
 class SimulatedDevice:
     """The firmware core with a source of samples behind it.  Who owns it gives it bytes and calls its ticks."""
 
     def __init__(self, name: str, source: Source, rate: float, limit: float, options: Options, boot: int,
-                 true_period: float | None = None) -> None:
+                 true_period: float | None = None, limits: DeviceLimits | None = None) -> None:
         if not 1.0 <= limit <= _INT16:
             raise UsageError(f"{name}: amplifier.limit {limit:g} counts; a device's command has 1 to {_INT16}")
         flags = BoardFlags.VIRTUAL_TIME if options.speed == 0 else 0
-        board = Board(name, round(rate * 1000.0), math.floor(limit), boot, CLOCK_HZ, int(flags))
+        board = Board(name, round(rate * 1000.0), math.floor(limit), boot, CLOCK_HZ, int(flags),
+                      limits or NO_LIMITS)
         self.options = options
         self.rate = rate
         self.period = true_period or 1.0 / rate
@@ -114,13 +159,11 @@ class SimulatedDevice:
 
     @classmethod
     def of_rig(cls, rig: Rig, options: Options | None = None) -> SimulatedDevice:
-        """The rig as a device; UsageError where its limit or rate cannot be a device's."""
+        """The rig as a device, its limits compiled in; UsageError where limit or rate cannot be a device's."""
         options = options or Options()
-        boot = (random.getrandbits(32) if options.seed is None
-                else zlib.crc32(f"{options} {rig.to_toml()}".encode()))
-        source = PlantSource(rig, options.angle, options.accel_offset, options.noise, boot)
-        scale = next((effect.ratio for effect in rig.effects if effect.name == "clock_scale"), 1.0)
-        return cls(rig.name, source, rig.sample_rate, rig.amplifier.limit, options, boot, rig.period * scale)
+        source, true_period, boot = rig_source(rig, options)
+        return cls(rig.name, source, rig.sample_rate, rig.command_limit, options, boot, true_period,
+                   DeviceLimits.of_rig(rig))
 
     @property
     def silent(self) -> bool:
@@ -160,4 +203,4 @@ class SimulatedDevice:
 
     def advance(self) -> None:
         """Let the drive act on the rig for one period."""
-        self._source.advance(self.core.drive, self.core.running)
+        self._source.advance(self.core.drive, self.core.enabled)

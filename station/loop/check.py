@@ -7,17 +7,20 @@ tells a motor, an encoder or an accelerometer that is the wrong way round, and a
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from station.control.references import pulse
-from station.device.client import Client
+from station.device.client import Client, Identity
+from station.device.limits import DeviceLimits
 from station.device.port import Port
 from station.device.simulated import PlantSource
 from station.errors import UsageError
-from station.loop.engine import Counts, Session
-from station.loop.run_test import arm, connect, measure_rest
+from station.loop import checked
+from station.loop.display import watched
+from station.loop.engine import Counts, Session, Setup
+from station.loop.run_test import connect, measure_rest
 from station.rig import Rig
 
 LEAST_TRAVEL = 4.0
@@ -72,8 +75,8 @@ def check(port: Port, rig: Rig, amplitude: float = 20.0, progress: Callable[[int
 
     WorkError and UsageError as in ``run_test``; the motor is at zero however it ends.
     """
-    if not 1.0 <= amplitude <= rig.amplifier.limit:
-        raise UsageError(f"amplitude: from 1 to the rig's limit of {rig.amplifier.limit:g} counts, not {amplitude:g}")
+    if not 1.0 <= amplitude <= rig.command_limit:
+        raise UsageError(f"amplitude: from 1 to the rig's limit of {rig.command_limit:g} counts, not {amplitude:g}")
     rate = rig.sample_rate
     client = Client(port)
     identity = connect(client, rig)
@@ -81,18 +84,28 @@ def check(port: Port, rig: Rig, amplitude: float = 20.0, progress: Callable[[int
     commands = np.floor(pulse(rate, amplitude, 0.15, 1.6, 0.2, second=0.9) + 0.5)
     ahead = [*commands[1:].astype(int).tolist(), 0]
     rows: list[tuple[int, int, int, int]] = []
-    arm(client, identity, rate, amplitude)
-    tell = None if progress is None else lambda row: progress(row, len(commands))
-    session = Session(client, len(commands), lambda row, encoder, accel: ahead[row],
-                      lambda row, clock, encoder, accel, command, *others: rows.append((row, encoder, accel, command)),
-                      progress=tell)
-    counts = session.run()
+    setup = Setup(identity, rate, amplitude, limits=DeviceLimits.of_rig(rig))
+    session = Session(client, setup, len(commands), lambda row, encoder, accel: ahead[row],
+                      lambda row, clock, encoder, accel, command, *others: rows.append((row, encoder, accel, command)))
+    with watched(session, None if progress is None else lambda row: progress(row, len(commands))):
+        counts = session.run()
     index, encoder, accel, applied = np.array(rows).T
     in_force = np.zeros(len(commands))
     in_force[index] = applied
     expected_encoder, expected_accel = _expected(rig, in_force)
-    return _judge(rig, encoder - rest.encoder, accel - rest.accel_zero, rest.accel_sigma,
-                  expected_encoder[index], expected_accel[index], counts)
+    found = _judge(rig, encoder - rest.encoder, accel - rest.accel_zero, rest.accel_sigma,
+                   expected_encoder[index], expected_accel[index], counts)
+    return found if checked.is_simulated(port.url, identity) else _noted(found, identity, rig)
+
+
+def _noted(found: CheckResult, identity: Identity, rig: Rig) -> CheckResult:
+    """Remember what closed loops will ask for, or take it back."""
+    try:
+        (checked.remember if found.passed else checked.forget)(identity, rig)
+    except OSError as error:
+        words = f"the outcome could not be noted ({error.strerror}: {checked.store()}): closed loops will want --force"
+        return replace(found, words=(*found.words, words))
+    return found
 
 
 def _judge(rig: Rig, encoder: np.ndarray, accel: np.ndarray, sigma: float, expected_encoder: np.ndarray,

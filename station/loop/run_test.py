@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import platform
+import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -20,12 +21,24 @@ import numpy as np
 
 from station.control.compensators import Compensator
 from station.device.client import Client, Identity
+from station.device.limits import DeviceLimits
 from station.device.port import Port
 from station.device.protocol import State
-from station.errors import UsageError, WorkError
-from station.loop.engine import Counts, Session
+from station.errors import UsageError
+from station.loop import checked
+from station.loop.clocks import DeviceClock, HostClock, Pace, pace
+from station.loop.display import watched
+from station.loop.engine import Counts, Session, Setup
+from station.loop.realtime import Realtime, undisturbed_thread
+from station.loop.safety import (
+    Guard,
+    clipped_rows,
+    require_rest,
+    require_small_first_command,
+    require_within_limits,
+)
 from station.loop.sink import LogSink
-from station.loop.timing import DeviceClock, Spread
+from station.loop.timing import Histogram, Spread
 from station.rig import Rig
 from station.runs.run import RunMetadata
 
@@ -52,7 +65,13 @@ class LoopResult:
     rest: Rest
     counts: Counts
     latency: Spread = field(default_factory=lambda: Spread.of([]))
+    slack: Spread = field(default_factory=lambda: Spread.of([]))
+    histogram: Histogram = field(default_factory=lambda: Histogram.of([]))
+    pace: Pace | None = None
+    realtime: Realtime | None = None
     seconds: float = 0.0
+    clipped: int = 0
+    """Rows of an open-loop test whose command was cut to the limit."""
 
 
 def versions() -> dict[str, str]:
@@ -61,7 +80,15 @@ def versions() -> dict[str, str]:
         station = version("station")
     except PackageNotFoundError:
         station = "checkout"
-    return {"station": station, "python": platform.python_version(), "numpy": np.__version__}
+    return {"station": station, "python": platform.python_version(), "numpy": np.__version__,
+            "scipy": version("scipy"), "numba": version("numba"), "pyserial": version("pyserial"),
+            "system": platform.platform()}
+
+
+def coefficients(compensator: Compensator) -> dict[str, list[float]]:
+    """The difference equation as it ran, in z, highest power first: what a specification comes to at this rate."""
+    names = ("numerator", "denominator", "accel_numerator", "accel_denominator")
+    return {name: getattr(compensator, name).tolist() for name in names if getattr(compensator, name).size}
 
 
 def identify_clear(client: Client) -> Identity:
@@ -82,22 +109,22 @@ def connect(client: Client, rig: Rig) -> Identity:
     return identity
 
 
-def arm(client: Client, identity: Identity, rate: float, limit: float, answer_ticks: int = 1) -> None:
-    """A fresh identify, configure and arm, as each session needs; rate in Hz, limit in counts."""
-    again = client.identify()
-    if again.boot != identity.boot:
-        raise WorkError(f"{client.port.url}: the device was reset meanwhile; start again")
-    client.configure(rate, min(math.floor(limit), identity.command_limit), answer_ticks=answer_ticks)
-    client.arm()
+def rest_position(port: Port, rig: Rig, settle: float = 0.0) -> tuple[str, int]:
+    """Let ``settle`` seconds pass and the arm come to rest; the encoder's zero by name, and its reading (counts)."""
+    client = Client(port)
+    identity = connect(client, rig)
+    if settle:
+        client.wait(settle)
+    return identity.zero_id, client.wait_for_rest(SETTLE_SECONDS)
 
 
 def measure_rest(client: Client, rig: Rig, identity: Identity, seconds: float = REST_SECONDS) -> Rest:
     """Wait for rest, then read the sensors with a motor that the device's own limit keeps at zero."""
     client.wait_for_rest(SETTLE_SECONDS)
     readings: list[int] = []
-    arm(client, identity, rig.sample_rate, limit=0.0)
     rows = max(2, round(seconds * rig.sample_rate))
-    Session(client, rows, lambda row, encoder, accel: 0,
+    setup = Setup(identity, rig.sample_rate, 0.0, limits=DeviceLimits.of_rig(rig))
+    Session(client, setup, rows, lambda row, encoder, accel: 0,
             lambda row, clock, encoder, accel, *rest: readings.append(accel)).run()
     accel = np.array(readings, dtype=float)
     sigma = float(np.std(accel, ddof=1)) if len(accel) > 1 else 0.0
@@ -108,72 +135,124 @@ def run_test(port: Port, rig: Rig, compensator: Compensator, reference: np.ndarr
              log_sink: Callable[[RunMetadata], LogSink],
              metadata: RunMetadata | Mapping[str, Any] | None = None,
              progress: Callable[[int, int], None] | None = None, accel_zero: float | None = None,
-             relative: bool = True, answer_ticks: int = 1) -> LoopResult:
+             relative: bool = True, answer_ticks: int = 1, abort: threading.Event | None = None,
+             realtime: bool = False, force: bool = False) -> LoopResult:
     """Run one test on the device at a port and log it.
 
-    reference: counts, one value per tick, beginning at rest.  With ``relative`` it counts from where the encoder
-    rests (open loop: never); the log holds it absolute.  ``accel_zero`` (counts) is measured over 0.25 s at rest
-    where not given.  ``log_sink`` makes the log from the completed metadata (``partial(McapLogWriter, path)``);
-    it is called once the device has been identified and is at rest, so that a refused test leaves no file.
-    ``progress(row, rows)`` is called ten times a second of device time, after a sample is answered.
+    reference: counts, one value per tick, beginning with at least 0.2 s at rest.  With ``relative`` it counts from
+    where the encoder rests (open loop: never); the log holds it absolute.  ``accel_zero`` (counts) is measured over
+    0.25 s at rest where not given.  ``log_sink`` makes the log from the completed metadata
+    (``partial(McapLogWriter, path)``); it is called once the device has been identified and is at rest, and before it
+    is armed, so that a refused test leaves no file and a log that cannot be made arms nothing.
+    ``progress(row, rows)`` is called about ten times a second from another thread; what it does or raises never
+    touches the loop.  ``abort``: once set, the motor is at zero within one tick and KeyboardInterrupt is raised.
+    ``realtime`` asks the system for a thread that is not disturbed (``station.loop.realtime``); what was got stands
+    in the metadata.  ``force`` runs a closed loop without a passed check of this device and rig, and is logged.
 
     Raises WorkError (line lost, device silent, in fault, refusing) and UsageError (the rig does not fit the
-    device).  However it ends, Ctrl-C included, the motor is commanded to zero, a stop is sent and the log is closed.
+    device, no passed check, a reference that does not begin at rest).  However it ends, Ctrl-C included, the motor is
+    commanded to zero, a stop is sent and the log is closed; the metadata's ``outcome`` says why it ended.
     """
     reference = np.asarray(reference, dtype=float)
     if reference.ndim != 1 or len(reference) < 2 or not np.all(np.isfinite(reference)):
         raise UsageError("reference: at least two finite values in one dimension are wanted")
+    require_rest(reference, rig.sample_rate, compensator.open_loop)
+    require_within_limits(rig, reference, compensator.open_loop)
     client = Client(port)
     identity = connect(client, rig)
-    rest = measure_rest(client, rig, identity) if accel_zero is None or relative else Rest()
+    check = None if compensator.open_loop else checked.require(port.url, identity, rig, force)
+    if accel_zero is None or relative:
+        rest = measure_rest(client, rig, identity)
+    else:
+        rest = Rest(accel_zero, 0.0, client.wait_for_rest(SETTLE_SECONDS))
     if accel_zero is None:
         accel_zero = rest.accel_zero
     if relative and not compensator.open_loop:
         reference = reference + rest.encoder
+    require_small_first_command(port.url, rig.sample_rate, compensator, reference[0], rest.encoder, accel_zero)
     compensator.reset(accel_zero)
-    arm(client, identity, rig.sample_rate, min(rig.amplifier.limit, compensator.limit), answer_ticks)
+    clock = HostClock()
+    limit = min(rig.command_limit, compensator.limit)
     known = metadata.entries() if isinstance(metadata, RunMetadata) else dict(metadata or {})
     completed = RunMetadata(**{
-        "rig": rig.model_dump(exclude_none=True), "controller": compensator.spec, "versions": versions(),
+        "rig": rig.model_dump(exclude_none=True), "controller": compensator.spec,
+        "coefficients": coefficients(compensator), "versions": versions(),
         "firmware": identity.summary(), "zero_id": identity.zero_id, "command_row": -answer_ticks,
         "accel_zero": accel_zero, "accel_sigma": rest.accel_sigma, "start": "released", "rounding": True,
         "answer_ticks": answer_ticks, "clock": "virtual" if identity.virtual_time else "real", "port": port.url,
-        "began": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())} | known)
+        "command_limit": limit, "check": check, "began": clock.wall(clock.host_time).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        "host_time_began": clock.host_time, "outcome": "running"} | known)
+    setup = Setup(identity, rig.sample_rate, limit, answer_ticks, DeviceLimits.of_rig(rig))
     sink = log_sink(completed)
     try:
-        result = LoopResult(identity, completed, rest, Counts())
-        _drive(client, rig, compensator, reference, sink, result, progress, answer_ticks)
+        result = LoopResult(identity, completed, rest, Counts(),
+                            clipped=clipped_rows(reference, limit, compensator.open_loop))
+        _drive(client, setup, compensator, reference, sink, result, progress, abort, realtime)
     finally:
         sink.close()
     return result
 
 
-def _drive(client: Client, rig: Rig, compensator: Compensator, reference: np.ndarray, sink: LogSink,
-           result: LoopResult, progress: Callable[[int, int], None] | None, answer_ticks: int) -> None:
-    rows, rate, period = len(reference), rig.sample_rate, answer_ticks / rig.sample_rate
+def _outcome(error: BaseException | None) -> str:
+    """Why a test ended, for its metadata: ``complete``, ``interrupted``, or the failure's own words."""
+    if error is None:
+        return "complete"
+    return "interrupted" if isinstance(error, KeyboardInterrupt) else str(error) or type(error).__name__
+
+
+def _drive(client: Client, setup: Setup, compensator: Compensator, reference: np.ndarray, sink: LogSink,
+           result: LoopResult, progress: Callable[[int, int], None] | None, abort: threading.Event | None,
+           realtime: bool) -> None:
+    rows, rate, answer_ticks = len(reference), setup.rate, setup.answer_ticks
+    period = answer_ticks / rate
     wanted = [*reference.tolist(), *[0.0] * answer_ticks]
     last = rows - answer_ticks
     step, append, seconds = compensator.step, sink.append, DeviceClock(result.identity.clock_hz).seconds
-    latencies = np.zeros(rows)
+    latencies, device_times, host_times = np.zeros(rows), np.zeros(rows), np.zeros(rows)
+
+    guard = Guard(client.port.url, setup.limits.within(setup.identity.limits), result.rest.encoder, setup.limit, rate)
+    drive, limited = guard.drive, guard.limited
 
     def respond(row: int, encoder: int, accel: int) -> int:
         """The command for tick row + answer_ticks; beyond the last row 0."""
-        return math.floor(step(wanted[row + answer_ticks], encoder, accel) + 0.5) if row < last else 0
+        if limited:
+            guard.see(row, encoder)
+        if row >= last:
+            return 0
+        command = step(wanted[row + answer_ticks], encoder, accel)
+        drive(row, encoder, command)
+        return math.floor(command + 0.5)
 
-    def record(row: int, clock: int, encoder: int, accel: int, command: int, status: int, sent: float,
+    def record(row: int, device_ticks: int, encoder: int, accel: int, command: int, status: int, sent: float,
                received: float, written: float) -> None:
         latency = latencies[row] = written - received
-        append((row, row / rate, wanted[row], command, encoder, accel, seconds(clock), received, status, sent,
+        device_time = device_times[row] = seconds(device_ticks)
+        host_times[row] = received
+        append((row, row / rate, wanted[row], command, encoder, accel, device_time, received, status, sent,
                 latency, period - latency))
 
-    tell = None if progress is None else lambda row: progress(row, rows)
-    session = Session(client, rows, respond, record, answer_ticks, tell, round(rate / 10.0))
+    session = Session(client, setup, rows, respond, record, abort)
     begun = time.perf_counter()
+    failure: BaseException | None = None
     try:
-        session.run()
+        with watched(session, None if progress is None else lambda row: progress(row, rows)), \
+                undisturbed_thread(realtime) as got:
+            result.realtime = got
+            session.run()
+    except BaseException as error:
+        failure = error
+        raise
     finally:
         result.counts, result.seconds = session.counts, time.perf_counter() - begun
-        result.latency = Spread.of(latencies[latencies > 0.0])
+        seen = latencies[latencies > 0.0]
+        result.latency, result.histogram = Spread.of(seen), Histogram.of(seen)
+        result.slack = Spread.of(period - seen) if len(seen) else Spread.of([])
+        if client.paced:
+            came = host_times > 0.0
+            result.pace = pace(device_times[came], host_times[came])
         result.metadata = result.metadata.model_copy(update={
-            "session": client.last_session, "counts": session.counts.as_dict(), "latency": result.latency.as_dict()})
+            "session": client.last_session, "counts": session.counts.as_dict(), "latency": result.latency.as_dict(),
+            "histogram": result.histogram.as_dict(), "outcome": _outcome(failure), "clipped_rows": result.clipped,
+            "realtime": None if result.realtime is None else result.realtime.as_dict(),
+            "pace": None if result.pace is None else result.pace.as_dict()})
         sink.update(result.metadata)

@@ -32,7 +32,7 @@ def read_parquet(path: str | os.PathLike[str]) -> Run:
                     raise WorkError(f"{path}: column {field.name}: {field.type} where numbers are wanted")
             metadata = (schema.metadata or {}).get(KEY, b"{}")
             table = file.read()
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, ValueError) as error:  # the last one: names that are not UTF-8
         raise WorkError(f"{path}: not a readable Parquet file ({str(error).splitlines()[0][:120]})") from None
     for name, column in zip(table.column_names, table.columns, strict=True):
         if column.null_count:

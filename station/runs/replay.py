@@ -42,9 +42,15 @@ class ReplayResult:
 
 
 def amplifier_limit(run: Run) -> float:
-    """The command limit (counts) of the rig that the run's metadata describe; UsageError where they only name it."""
+    """The command limit (counts) under which the run was made, else that of the rig that its metadata describe.
+
+    UsageError where they only name the rig.
+    """
     rig = run.metadata.rig
     try:
+        own = run.metadata.entries().get("command_limit")
+        if own is not None:
+            return float(own)
         return float(rig["amplifier"]["limit"])  # type: ignore[index]
     except (TypeError, KeyError, ValueError):
         raise UsageError(f"{run.name}: the run does not hold its rig's amplifier.limit; name the rig") from None

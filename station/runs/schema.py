@@ -27,6 +27,12 @@ def sample_schema(columns: Sequence[str]) -> bytes:
 
     A column of every run has its place in LOG_COLUMNS as field number; extra columns follow from 101.
     """
+    return _schema(SAMPLE, [(name, number, _INT64 if integer else _DOUBLE)
+                            for name, number, integer in sample_fields(columns)])
+
+
+def sample_fields(columns: Sequence[str]) -> list[tuple[str, int, bool]]:
+    """Name, field number and whether it is an integer, of each column."""
     fields = []
     extra = FIRST_EXTRA_FIELD
     for name in columns:
@@ -34,9 +40,8 @@ def sample_schema(columns: Sequence[str]) -> bytes:
             number = LOG_COLUMNS.index(name) + 1
         else:
             number, extra = extra, extra + 1
-        integer = name in BY_NAME and BY_NAME[name].integer
-        fields.append((name, number, _INT64 if integer else _DOUBLE))
-    return _schema(SAMPLE, fields)
+        fields.append((name, number, name in BY_NAME and BY_NAME[name].integer))
+    return fields
 
 
 def metadata_schema() -> bytes:

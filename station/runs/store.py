@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from station.errors import UsageError, WorkError
 from station.runs.csv_form import read_csv, write_csv
@@ -14,6 +18,7 @@ from station.runs.files import check_input, check_output, reason
 from station.runs.lab_log import read_lab_log
 from station.runs.mcap_log import write_mcap
 from station.runs.mcap_read import read_mcap, scan_mcap
+from station.runs.notes import notes_of, tags_of
 from station.runs.run import Run, RunMetadata
 
 _SNIFF_BYTES = 65536
@@ -102,6 +107,33 @@ def import_run(source: str | os.PathLike[str], out: str | os.PathLike[str], *, o
     return imported
 
 
+def trim(path: str | os.PathLike[str], out: str | os.PathLike[str], begin: float | None = None,
+         end: float | None = None, *, overwrite: bool = False) -> Run:
+    """Write the rows of a run from ``begin`` to ``end`` (s of its time column) as a run of their own.
+
+    Time and index stay as they were, gaps stay gaps; the metadata's ``trimmed`` says what was cut from which file.
+    UsageError where nothing is left or the arm moves where the cut begins, as a run that is simulated starts at rest.
+    """
+    source = check_input(path)
+    run = load_run(source)
+    begin = float(run.t[0]) if begin is None else begin
+    end = float(run.t[-1]) if end is None else end
+    half = 0.5 / run.sample_rate
+    rows = np.flatnonzero((run.t >= begin - half) & (run.t <= end + half))
+    if len(rows) < 2:
+        raise UsageError(f"{path}: no two rows from {begin:g} to {end:g} s; it goes from {run.t[0]:g} to "
+                         f"{run.t[-1]:g} s")
+    cut = run.slice(int(rows[0]), int(rows[-1]) + 1)
+    if rows[0] > 0 and cut.rest_rows() < 2:
+        raise UsageError(f"{path}: at {begin:g} s the arm moves; begin the cut where reference and encoder rest")
+    made = {"file": source.name, "sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
+            "from": float(cut.t[0]), "to": float(cut.t[-1])}
+    entries = run.metadata.entries() | {"trimmed": made}
+    trimmed = Run.from_columns(str(path), Path(out).stem, cut.columns(), RunMetadata.from_entries(str(path), entries))
+    export_run(trimmed, out, overwrite)
+    return trimmed
+
+
 @dataclass(frozen=True)
 class Recovery:
     """What a rescue found: the rows kept, and why the log ended early (None: it was complete)."""
@@ -133,6 +165,8 @@ class RunSummary:
     sample_rate: float = 0.0
     metadata: RunMetadata | None = None
     problem: str | None = None
+    tags: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -143,6 +177,65 @@ class RunSummary:
     def duration(self) -> float:
         """Seconds from the first row to one period after the last."""
         return self.rows / self.sample_rate if self.sample_rate else 0.0
+
+    @property
+    def rig(self) -> str:
+        """The rig's name; empty where the run does not say."""
+        rig = self.metadata.rig if self.metadata is not None else ""
+        return str(rig.get("name", "")) if isinstance(rig, dict) else rig
+
+    @property
+    def began(self) -> str:
+        """When it was made (UTC, ISO 8601); empty where the run does not say."""
+        return str(self.metadata.entries().get("began") or "") if self.metadata is not None else ""
+
+    @property
+    def state(self) -> str:
+        """Empty for a run that came to its end, else why it did not."""
+        known = self.metadata.entries() if self.metadata is not None else {}
+        outcome = known.get("outcome", "complete")
+        return str(known.get("cut_short") or ("" if outcome in ("complete", None) else outcome))
+
+
+@dataclass(frozen=True)
+class RunFilter:
+    """Which runs are wanted; None: whichever.  ``since`` and ``until``: ISO dates, both inclusive."""
+
+    rig: str | None = None
+    kind: str | None = None
+    controller: str | None = None
+    since: str | None = None
+    until: str | None = None
+    tag: str | None = None
+    plan: str | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("since", "until"):
+            value = getattr(self, name)
+            try:
+                if value is not None:
+                    datetime.fromisoformat(value)
+            except ValueError:
+                raise UsageError(f"--{name} {value}: a date such as 2026-03-31 is wanted") from None
+
+    @property
+    def wants_all(self) -> bool:
+        """Whether nothing is asked."""
+        return self == RunFilter()
+
+    def takes(self, run: RunSummary) -> bool:
+        """Whether a run is among them; a file that cannot be read is only where nothing is asked."""
+        if run.metadata is None:
+            return self.wants_all
+        plan = str(run.metadata.entries().get("plan") or "")
+        began = run.began
+        return (self.rig in (None, run.rig)
+                and self.kind in (None, run.metadata.test.get("kind"))
+                and self.controller in (None, run.metadata.controller.get("kind"))
+                and self.tag in (None, *run.tags)
+                and self.plan in (None, plan, plan.rpartition(".")[0])
+                and (self.since is None or began[:len(self.since)] >= self.since)
+                and (self.until is None or "" < began[:len(self.until)] <= self.until))
 
 
 def list_runs(folder: str | os.PathLike[str]) -> list[RunSummary]:
@@ -160,4 +253,10 @@ def _summary(path: Path) -> RunSummary:
         run = load_run(path)
     except WorkError as error:
         return RunSummary(path, problem=str(error))
-    return RunSummary(path, len(run), run.sample_rate, run.metadata)
+    except Exception as error:  # a file that a library chokes on hides none of the others
+        return RunSummary(path, problem=f"{path}: cannot be read ({type(error).__name__}: {error})")
+    try:
+        tags, notes = tuple(tags_of(path, run.metadata)), tuple(notes_of(path, run.metadata))
+    except WorkError as error:
+        return RunSummary(path, len(run), run.sample_rate, run.metadata, notes=(str(error),))
+    return RunSummary(path, len(run), run.sample_rate, run.metadata, tags=tags, notes=notes)

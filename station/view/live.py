@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -13,7 +13,8 @@ from station.rig import Rig
 from station.runs.columns import LOG_COLUMNS
 from station.runs.run import RunMetadata
 from station.view import arm
-from station.view.recording import APPLICATION, TIMELINE
+from station.view.observer import Observer
+from station.view.recording import APPLICATION, EXAGGERATION, TIMELINE
 from station.view.viewer import free_port, start
 from station.view.web import LOOPBACK
 
@@ -40,7 +41,7 @@ class LiveView:
 
     ``append`` puts a row on a bounded queue and returns; a thread of its own sends what waits, 20 times a second.
     Where the queue is full, or the viewer is lost, rows are dropped and counted in ``dropped``; nothing is raised.
-    The arm is drawn from the measured base angle, rigid: what bends it is not measured.
+    The arm is drawn from the state that the rig's model estimates (``Observer``), its deflection exaggerated.
     """
 
     def __init__(self, rig: Rig, *, url: str | None = None, capacity: int = CAPACITY) -> None:
@@ -50,14 +51,21 @@ class LiveView:
         self._refused = self._lost = 0
         self._rig, self._capacity = rig, capacity
         self._queue: deque[Sequence[float]] = deque()
-        self._closing = threading.Event()
+        self._closing, self._connected = threading.Event(), threading.Event()
+        self._observer = Observer(rig)
         self.viewer = None
         if url is None:
             port = free_port()
             self.viewer = start(["--hide-welcome-screen"], port)
             url = f"rerun+http://{LOOPBACK}:{port}/proxy"
+        self.url = url
         self._thread = threading.Thread(target=self._work, args=(url,), name="station-live-view", daemon=True)
         self._thread.start()
+
+    def wait(self, seconds: float = CONNECTS_WITHIN) -> None:
+        """Let the viewer start and connect, before a test begins: what is imported and started meanwhile would
+        disturb it.  Returns too where it does not come."""
+        self._connected.wait(seconds)
 
     def append(self, row: Sequence[float]) -> None:
         """Offer one row; returns at once."""
@@ -89,6 +97,7 @@ class LiveView:
                 last = self._closing.wait(PERIOD)
                 self._deliver(recording)
         except Exception as error:          # the view is lost, the test goes on
+            self._connected.set()
             self.failure = str(error).splitlines()[0] if str(error) else type(error).__name__
             self._capacity = 0
 
@@ -100,6 +109,7 @@ class LiveView:
         for path in PATHS.values():
             recording.log(path, rr.SeriesLines(names=path.rpartition("/")[2], widths=1.5), static=True)
         recording.flush(timeout_sec=CONNECTS_WITHIN)
+        self._connected.set()
         return recording
 
     def _deliver(self, recording: Any) -> None:
@@ -120,11 +130,27 @@ class LiveView:
         time = [rr.TimeColumn(TIMELINE, duration=columns["t"])]
         for name, path in PATHS.items():
             recording.send_columns(path, time, rr.Scalars.columns(scalars=columns[name]))
+        for command, encoder, accel in zip(columns["command"], columns["encoder"], columns["accel"], strict=True):
+            self._observer.see(command, encoder, accel)
         length = self._rig.beam.length if self._rig.beam is not None else 0.3
-        angle = columns["encoder"][-1:] * self._rig.angle_per_count
-        points = arm.drawn_points(angle, np.zeros((1, 2)), length, 1.0)
+        points = arm.drawn_points(np.array([self._observer.angle]), self._observer.deflection[None, :], length,
+                                  EXAGGERATION)
         recording.set_time(TIMELINE, duration=float(columns["t"][-1]))
-        recording.log("arm", rr.LineStrips3D(points.astype(np.float32), radii=0.005))
+        recording.log("arm/beam", rr.LineStrips3D(points.astype(np.float32), radii=0.005))
+        recording.log("arm/tip", rr.Points3D(points[:, -1].astype(np.float32), radii=0.011))
+
+
+def shared_view(rig: Rig) -> Callable[[], LiveView]:
+    """Makes live views, one for each test, of which the first starts the viewer and the others join it."""
+    urls: list[str] = []
+
+    def make() -> LiveView:
+        view = LiveView(rig, url=urls[0] if urls else None)
+        urls[:] = [view.url]
+        view.wait()
+        return view
+
+    return make
 
 
 class LogAndView:
@@ -157,7 +183,7 @@ def _blueprint() -> Any:
                                 axis_x=rrb.TimeAxis(link="LinkToGlobal"))
              for path, name in (("angle", "Angle (encoder counts)"), ("command", "Command (counts)"),
                                 ("acceleration", "Acceleration (counts)"), ("timing", "Timing (s)"))]
-    space = rrb.Spatial3DView(origin="/arm", name="Arm, rigid, at the measured angle",
+    space = rrb.Spatial3DView(origin="/arm", name=f"Arm by the model's state estimate, deflection × {EXAGGERATION:g}",
                               eye_controls=rrb.EyeControls3D(position=[0.2, -0.15, 0.9], look_target=[0.2, 0.0, 0.0],
                                                              eye_up=[0.0, 1.0, 0.0]))
     return rrb.Blueprint(rrb.Horizontal(space, rrb.Vertical(*plots), column_shares=[2, 3]),

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import time
 
+import numpy as np
 import pytest
 
 from station.runs import load_run
@@ -66,3 +68,36 @@ def test_recover_completes_a_log_cut_short(station, step, tmp_path):
     assert ended.status == 0, ended.err
     assert cut.read_bytes() == before
     assert len(load_run(out)) > 0
+
+
+def test_replay_shows_measured_against_a_model(station, step, tmp_path):
+    ended = station("replay", step, "--model", "sflr", "--json", "-")
+    (found,) = json.loads(ended.out)["runs"]
+    assert found["same"] and found["model"]["encoder"]["nrmse"] < 0.02
+    ended = station("replay", step, "--model", "sflr", "--controller", "lead", "--save", tmp_path / "shown.rrd")
+    assert ended.status == 0, ended.err
+    assert "as lead would have had it" in ended.out and "overshoot percent" in ended.out
+    assert (tmp_path / "shown.rrd").stat().st_size > 10_000
+    other = json.loads(station("replay", step, "--model", "sflr", "--controller", "lead", "--json", "-").out)
+    assert other["runs"][0]["model"]["encoder"]["nrmse"] > 0.1 and not other["runs"][0]["same"]
+
+
+def test_a_logged_run_is_a_device_at_full_and_at_real_speed(station, tmp_path):
+    out = tmp_path / "run.mcap"
+    assert station("run", "step", "--port", "sim://sflr?seed=2", "--rig", "sflr", "--duration", "0.6", "--out",
+                   out).status == 0
+    first = load_run(out)
+    again = tmp_path / "again.mcap"
+    assert station("run", "step", "--port", f"replay://{out}", "--rig", "sflr", "--duration", "0.6", "--out",
+                   again).status == 0
+    np.testing.assert_array_equal(load_run(again).encoder, first.encoder)
+    for attempt in range(5):  # a busy machine may fault a device that is paced
+        real = tmp_path / f"real{attempt}.mcap"
+        begun = time.monotonic()
+        ended = station("run", "step", "--port", f"replay://{out}?speed=1", "--rig", "sflr", "--duration", "0.6",
+                        "--out", real)
+        if ended.status == 0:
+            break
+    assert ended.status == 0, ended.err
+    assert time.monotonic() - begun > 0.6
+    np.testing.assert_array_equal(load_run(real).encoder, first.encoder)

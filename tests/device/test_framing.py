@@ -47,7 +47,7 @@ def test_what_is_packed_is_unpacked(data):
 def test_a_frame_has_one_zero_byte_and_its_length_is_its_messages(body):
     frame = frame_of(body)
     assert frame.index(0) == len(frame) - 1
-    assert len(frame) == len(body) + 4 <= LIMITS["frame_bytes"]
+    assert len(frame) == len(body) + 5 <= LIMITS["frame_bytes"]
     assert decode(frame[:-1], SESSION) == body
 
 

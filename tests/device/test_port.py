@@ -9,7 +9,7 @@ import serial
 from serial.serialutil import SerialException
 
 from station.device.client import Client
-from station.device.framing import encode
+from station.device.framing import Decoder, encode
 from station.device.port import list_ports, open_port
 from station.device.protocol import MESSAGES, PROTOCOL
 from station.errors import StationError, UsageError, WorkError
@@ -127,7 +127,7 @@ def test_refusals_are_told_in_words():
         with pytest.raises(WorkError, match="refuses configure: a value is beyond"):
             client.configure(500.0, 201)
         with pytest.raises(WorkError, match="refuses start: it is idle"):
-            client._ask("start", session=1)
+            client._ask("start", session=1, challenge=0)
         with pytest.raises(WorkError, match="refuses zero: the arm is moving"):
             client.zero()
 
@@ -137,15 +137,28 @@ def test_ports_are_listed_by_path():
     assert paths == sorted(paths)
 
 
+def identity_for(data, challenge, nonce=None):
+    """The answer to the identify in these bytes."""
+    (body,) = Decoder().feed(data)
+    values = {field.name: b"" if field.text_size else 0 for field in MESSAGES["identity"].fields}
+    values |= {"version": PROTOCOL.version, "hash": PROTOCOL.hash, "challenge": challenge,
+               "nonce": MESSAGES["identify"].unpack(body).nonce if nonce is None else nonce}
+    return encode(MESSAGES["identity"].pack(**values))
+
+
 def test_what_an_earlier_connection_left_on_the_line_is_not_taken_for_an_answer(scripted):
-    identity = {field.name: b"" if field.text_size else 0 for field in MESSAGES["identity"].fields}
-    identity |= {"version": PROTOCOL.version, "hash": PROTOCOL.hash, "challenge": 9}
     stale = (encode(MESSAGES["fault"].pack(fault=1, index=3))
              + encode(MESSAGES["reply"].pack(request=MESSAGES["stop"].code, result=0, state=0, fault=0, status=0,
                                              encoder=0)))
-    client = Client(scripted(lambda data: stale + encode(MESSAGES["identity"].pack(**identity))))
+
+    def answer(data):
+        nonce = MESSAGES["identify"].unpack(Decoder().feed(data)[0]).nonce
+        return stale + identity_for(data, 8, nonce ^ 1) + identity_for(data, 9)
+
+    client = Client(scripted(answer))
     client.identify()
     assert not client.inbox
+    assert client._challenge == 9
 
 
 def test_of_several_identities_the_last_ones_challenge_counts(scripted):
@@ -154,11 +167,7 @@ def test_of_several_identities_the_last_ones_challenge_counts(scripted):
 
     def answer(data):
         asked.append(data)
-        values = {field.name: b"" if field.text_size else 0 for field in MESSAGES["identity"].fields}
-        values |= {"version": PROTOCOL.version, "hash": PROTOCOL.hash}
-        if len(asked) < 3:
-            return b""
-        return b"".join(encode(MESSAGES["identity"].pack(**values | {"challenge": n + 1})) for n in range(len(asked)))
+        return b"" if len(asked) < 3 else b"".join(identity_for(each, n + 1) for n, each in enumerate(asked))
 
     client = Client(scripted(answer))
     client.identify()

@@ -10,7 +10,7 @@ from station.device.client import Client
 from station.device.framing import encode
 from station.device.port import open_port
 from station.device.protocol import MESSAGES, PROTOCOL, State
-from station.device.server import LOOPBACK, DeviceProcess, serve
+from station.device.server import LOOPBACK, MAX_CONNECTIONS, DeviceProcess, serve
 from station.errors import UsageError, WorkError
 from station.rig import load_rig
 
@@ -132,7 +132,7 @@ def test_serve_ends_when_it_is_told_to():
     thread.start()
     assert ready.wait(30)
     with open_port(found[0].tcp) as port:
-        port.write(encode(MESSAGES["identify"].pack(version=PROTOCOL.version, hash=PROTOCOL.hash)))
+        port.write(encode(MESSAGES["identify"].pack(version=PROTOCOL.version, hash=PROTOCOL.hash, nonce=0)))
         assert len(port.read(MESSAGES["identity"].wire_size)) == MESSAGES["identity"].wire_size
     stop.set()
     thread.join(5.0)
@@ -143,3 +143,37 @@ def test_an_unknown_rig_is_a_failure_to_start(capfd):
     with pytest.raises(WorkError, match="did not start"), DeviceProcess("no-such-rig"):
         pass
     assert "no-such-rig" in capfd.readouterr().err
+
+
+def test_idle_connections_end_nothing_and_the_next_host_is_served(served):
+    """Hosts that say nothing, garbage, an HTTP request."""
+    port = int(served.tcp.rsplit(":", 1)[1])
+    idle = []
+    try:
+        for _ in range(200):
+            idle.append(socket.create_connection((LOOPBACK, port), timeout=5.0))
+            if len(idle) > 50:
+                idle.pop(0).close()
+        for said in (b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n", bytes(range(256)) * 64):
+            with socket.create_connection((LOOPBACK, port), timeout=5.0) as stranger:
+                stranger.sendall(said)
+        identity, got = exchange(served.tcp)
+        assert identity.board == "sflr" and len(got) == 50
+    finally:
+        for each in idle:
+            each.close()
+
+
+def test_many_idle_connections_at_once_are_capped(served):
+    import psutil
+
+    port = int(served.tcp.rsplit(":", 1)[1])
+    idle = [socket.create_connection((LOOPBACK, port), timeout=5.0) for _ in range(200)]
+    try:
+        exchange(served.tcp)
+        there = [c for c in psutil.Process().children(recursive=True)
+                 for c in c.net_connections("tcp") if c.laddr.port == port and c.status == "ESTABLISHED"]
+        assert 1 <= len(there) <= MAX_CONNECTIONS + 1
+    finally:
+        for each in idle:
+            each.close()

@@ -217,7 +217,7 @@ def test_a_program_that_knows_only_pyserial_needs_one_line(tmp_path):
         serial.protocol_handler_packages.append("station.device.urls")
         with serial.serial_for_url("sim://sflr", timeout=1) as line:
             line.write(bytes.fromhex("{encode(MESSAGES['query'].pack()).hex()}"))
-            print(line.read(61).hex())
+            print(line.read({MESSAGES["statistics"].wire_size}).hex())
     """))
     out = subprocess.run([sys.executable, str(program)], capture_output=True, text=True, timeout=120, check=True).stdout
     (body,) = Decoder().feed(bytes.fromhex(out.strip()))

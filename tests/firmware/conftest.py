@@ -12,15 +12,18 @@ from station.device.protocol import MESSAGE_OF_CODE, MESSAGES, PROTOCOL
 
 RATE = 500_000
 LIMIT = 200
+CONFIGURE = {"rate": RATE, "command_limit": LIMIT, "hold_ticks": 1, "fault_ticks": 10, "answer_ticks": 1,
+             "travel_limit": 0, "speed_limit": 0, "stall_command": 0, "stall_time": 0}
 
 
 class Bench:
     """A core on the bench: requests in, answers out; ticks on demand."""
 
-    def __init__(self, limit: int = LIMIT, rate: int = RATE) -> None:
-        self.core = Core(Board("bench", rate, limit, boot=77), entropy=12345)
+    def __init__(self, limit: int = LIMIT, rate: int = RATE, entropy: int = 12345, **board: Any) -> None:
+        self.core = Core(Board("bench", rate, limit, boot=77, **board), entropy)
         self.decoder = Decoder()
         self.session = 0
+        self.challenge = 0
         self.sent = b""
         self.encoder = 0
         self.clock = 0
@@ -49,11 +52,13 @@ class Bench:
         return self.core.tick(self.clock, self.encoder, accel, flags), self.heard()
 
     def configure(self, **changes: int) -> Any:
-        values = {"rate": RATE, "command_limit": LIMIT, "hold_ticks": 1, "fault_ticks": 10, "answer_ticks": 1}
-        return self.ask("configure", **(values | changes))
+        return self.ask("configure", **(CONFIGURE | changes))
 
     def identify(self) -> Any:
-        return self.ask("identify", version=PROTOCOL.version, hash=PROTOCOL.hash)
+        identity = self.ask("identify", version=PROTOCOL.version, hash=PROTOCOL.hash, nonce=self.clock & 0xFFFF)
+        assert identity.nonce == self.clock & 0xFFFF
+        self.challenge = identity.challenge
+        return identity
 
     def arm(self, **changes: int) -> None:
         challenge = self.identify().challenge
@@ -62,7 +67,7 @@ class Bench:
 
     def start(self, session: int = 4711, **changes: int) -> None:
         self.arm(**changes)
-        assert self.ask("start", session=session).result == 0
+        assert self.ask("start", session=session, challenge=self.challenge).result == 0
         self.session = self.decoder.session = session
 
     def command(self, index: int, command: int) -> None:

@@ -216,9 +216,9 @@ def test_a_line_that_nobody_reads_costs_samples_and_counts_them(bench):
         bench.core.receive(encode(MESSAGES["command"].pack(index=i + 1, command=10), bench.session))
     received = len(bench.heard())
     statistics = bench.statistics()
-    assert received == 256 // 21
-    assert statistics.samples == 20
-    assert statistics.overruns == 20 - received
+    assert received == 256 // 22
+    assert statistics.samples == received
+    assert statistics.unsent_samples == statistics.unsent_frames == 20 - received
 
 
 def test_silence_of_an_earlier_session_does_not_count(bench):
@@ -242,3 +242,120 @@ def test_a_command_of_another_length_is_refused_even_with_its_crc_right(bench, m
     bench.core.receive(encode(body + more, bench.session) + encode(body[:-1], bench.session))
     assert bench.tick()[0] == 0
     assert bench.statistics().corrupt == 2
+
+
+def test_commands_of_session_zero_before_a_start_are_gone_when_it_comes(bench):
+    bench.arm()
+    for state in ("idle", "armed"):
+        if state == "idle":
+            bench.ask("stop")
+        for index in range(8):
+            bench.core.receive(encode(MESSAGES["command"].pack(index=index, command=100), 0))
+        assert bench.statistics().corrupt == 8
+        bench.start()
+        assert [bench.tick()[0] for _ in range(5)] == [0] * 5
+        bench.ask("stop")
+
+
+def test_an_answer_that_is_always_one_tick_behind_ends_in_fault(bench):
+    """As when the board ticks at twice the rate that the host keeps up with."""
+    bench.start(hold_ticks=1, fault_ticks=10)
+    drives = []
+    for i in range(14):
+        drives.append(bench.tick()[0])
+        bench.core.receive(encode(MESSAGES["command"].pack(index=i, command=100), bench.session))
+    assert drives == [0] * 14
+    assert bench.core.state == State.FAULT
+    statistics = bench.statistics()
+    assert (statistics.late, statistics.held, statistics.zeroed, statistics.corrupt) == (10, 1, 9, 4)
+
+
+def test_the_transmit_buffer_is_used_to_its_last_byte_and_not_beyond(bench):
+    arm = encode(MESSAGES["arm"].pack(challenge=0))
+    bench.start()
+    for _ in range(3):
+        bench.core.tick(0, 0, 0)
+    bench.core.receive(encode(MESSAGES["query"].pack()) + arm * 7)
+    assert bench.core.waiting == 3 * 22 + 78 + 7 * 16 == 256
+    bench.core.receive(arm)
+    assert bench.core.waiting == 256
+    assert len(bench.heard()) == 11
+    assert bench.statistics().unsent_frames == 1
+
+
+def test_a_frame_that_would_only_fit_without_its_check_is_refused(bench):
+    bench.start()
+    for _ in range(3):
+        bench.core.tick(0, 0, 0)
+    bench.core.receive(encode(MESSAGES["arm"].pack(challenge=0)) * 12)
+    assert bench.core.waiting == 3 * 22 + 11 * 16 == 242
+    assert len(bench.heard()) == 14
+
+
+def test_a_line_that_takes_a_few_bytes_at_a_time_gets_them_all_in_order(bench):
+    bench.start()
+    for _ in range(3):
+        bench.core.tick(0, 0, 0)
+    data = b"".join(bench.core.transmit(5) for _ in range(14))
+    assert [body[0] for body in bench.decoder.feed(data)] == [MESSAGES["sample"].code] * 3
+    assert bench.core.transmit() == b""
+
+
+@pytest.mark.parametrize("command", [51, -51])
+def test_a_motion_seen_by_the_encoder_ends_a_stall_and_a_small_command_is_none(bench, command):
+    bench.start(stall_command=50, stall_time=20)  # 10 ticks
+    bench.tick()
+    for i in range(1, 60):
+        bench.command(i, 60)
+        bench.tick(encoder=2 * (i // 8))
+    assert bench.core.running
+    for i in range(60, 90):
+        bench.command(i, 50)
+        bench.tick()
+    assert bench.core.running
+    for i in range(90, 102):
+        assert bench.core.running
+        bench.command(i, command)
+        bench.tick(encoder=14 + i % 2)
+    assert bench.statistics().fault == Fault.STALLED
+
+
+def test_speed_is_watched_from_before_the_session_on_and_across_the_wrap(bench):
+    for i in range(12):
+        bench.tick(encoder=2**31 - 20 + 10 * i - (2**32 if 10 * i >= 20 else 0))
+    bench.start(speed_limit=79)
+    bench.tick(encoder=-(2**31) + 100)
+    assert bench.statistics().fault == Fault.SPEED
+
+
+def test_a_zeroing_is_no_motion(bench):
+    for _ in range(120):
+        bench.tick(encoder=5000)
+    bench.ask("zero")
+    bench.start(speed_limit=5, travel_limit=5)
+    for i in range(20):
+        bench.tick()
+        bench.command(i + 1, 1)
+    assert bench.core.running
+
+
+def test_the_enable_pin_is_active_in_a_session_alone(bench):
+    assert not bench.core.enabled
+    bench.start()
+    assert bench.core.enabled
+    bench.ask("stop")
+    assert not bench.core.enabled
+    bench.start()
+    for _ in range(12):
+        bench.tick()
+    assert bench.core.state == State.FAULT and not bench.core.enabled
+
+
+def test_a_command_ends_the_silence(bench):
+    bench.start(hold_ticks=1, fault_ticks=3)
+    bench.tick()
+    for i in range(1, 40):
+        if i % 2:
+            bench.command(i, 70)
+        assert bench.tick()[0] == 70
+    assert bench.statistics().held == 19

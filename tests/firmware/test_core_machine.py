@@ -6,7 +6,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from station.device.framing import encode
 from station.device.protocol import MESSAGES, PROTOCOL, State
-from tests.firmware.conftest import LIMIT, Bench
+from tests.firmware.conftest import CONFIGURE, LIMIT, Bench
 
 
 class AnyHost(RuleBasedStateMachine):
@@ -24,12 +24,12 @@ class AnyHost(RuleBasedStateMachine):
 
     @rule()
     def identify(self):
-        self.challenge = self.ask("identify", version=PROTOCOL.version, hash=PROTOCOL.hash).challenge
+        self.challenge = self.ask("identify", version=PROTOCOL.version, hash=PROTOCOL.hash, nonce=1).challenge
 
     @rule(limit=st.integers(-5, LIMIT + 5), hold=st.integers(0, 7), fault=st.integers(0, 30), answer=st.just(1))
     def configure(self, limit, hold, fault, answer):
-        reply = self.ask("configure", rate=500_000, command_limit=limit, hold_ticks=hold, fault_ticks=fault,
-                         answer_ticks=answer)
+        reply = self.ask("configure", **(CONFIGURE | {"command_limit": limit, "hold_ticks": hold, "fault_ticks": fault,
+                                                      "answer_ticks": answer}))
         if reply.result == 0:
             assert 0 <= limit <= LIMIT and hold <= 5 and hold < fault <= 25
             self.limit, self.hold, self.fault = limit, hold, fault
@@ -40,7 +40,7 @@ class AnyHost(RuleBasedStateMachine):
 
     @rule(session=st.integers(0, 0xFFFF))
     def start(self, session):
-        if self.ask("start", session=session).result == 0:
+        if self.ask("start", session=session, challenge=self.challenge).result == 0:
             self.bench.session = self.bench.decoder.session = session
             self.tick = self.silent = self.taken = self.driven = 0
 

@@ -10,11 +10,13 @@ from hypothesis import strategies as st
 from station.device.core import library
 from station.device.framing import encode
 from station.device.protocol import MESSAGES, PROTOCOL, State
+from tests.firmware.conftest import CONFIGURE
 
 EXAMPLES = {
-    "identify": {"version": PROTOCOL.version, "hash": PROTOCOL.hash},
-    "configure": {"rate": 500_000, "command_limit": 200, "hold_ticks": 1, "fault_ticks": 10, "answer_ticks": 1},
-    "arm": {"challenge": 0x12003400}, "start": {"session": 0x0100}, "stop": {}, "clear": {}, "zero": {}, "query": {},
+    "identify": {"version": PROTOCOL.version, "hash": PROTOCOL.hash, "nonce": 0x0102},
+    "configure": CONFIGURE,
+    "arm": {"challenge": 0x12003400}, "start": {"session": 0x0100, "challenge": 0x12003400},
+    "stop": {}, "clear": {}, "zero": {}, "query": {},
     "command": {"index": 300, "command": -150},
 }
 
@@ -25,12 +27,16 @@ def test_the_crc_is_that_of_the_standard_library(data, start):
     assert lib.station_crc(start, data, len(data)) == crc_hqx(data, start)
 
 
-@given(body=st.binary(min_size=1, max_size=124), session=st.integers(0, 0xFFFF))
+@given(body=st.binary(min_size=1, max_size=123), session=st.integers(0, 0xFFFF))
 def test_both_sides_write_the_same_frame(body, session):
     ffi, lib = library()
     wire = ffi.new("uint8_t[]", 256)
     length = lib.station_encode(body, len(body), session, wire)
     assert bytes(ffi.buffer(wire, length)) == encode(body, session)
+    assert lib.station_decode(wire, length - 1, session ^ 1) == 0
+    wire[0:length] = encode(body, session)
+    assert lib.station_decode(wire, length - 1, session) == len(body)
+    assert bytes(ffi.buffer(wire, len(body))) == body
 
 
 @given(frame=st.lists(st.integers(1, 255), min_size=1, max_size=127).map(bytes))
@@ -110,3 +116,18 @@ def test_a_frame_longer_than_any_is_one_corrupt_frame(bench, length):
     bench.core.receive(b"\1" * length + b"\0")
     assert bench.statistics().corrupt == 1
     assert bench.identify().state == State.IDLE
+
+
+@pytest.mark.parametrize("length", [127, 128, 129, 300])
+def test_a_frame_longer_than_any_leaves_what_waits_for_the_line_alone(bench, length):
+    bench.core.receive(encode(MESSAGES["query"].pack()) + b"\7" * length + b"\0")
+    assert [name for name, _ in bench.heard()] == ["statistics"]
+
+
+@pytest.mark.parametrize("length", range(1, 20))
+def test_a_count_beyond_the_frames_end_is_refused(length):
+    ffi, lib = library()
+    for beyond in (1, 2, 3):
+        raw = ffi.new("uint8_t[]", bytes([length + beyond] + [1] * (length - 1) + [1, 1, 1, 1]))
+        assert lib.station_unstuff(raw, length) == 0
+    assert lib.station_unstuff(ffi.new("uint8_t[]", bytes([length] + [1] * (length - 1))), length) == length - 1

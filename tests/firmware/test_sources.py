@@ -15,9 +15,9 @@ from station.errors import WorkError
 CORE = firmware_folder() / "core"
 
 
-def test_header_and_source_are_up_to_date_with_the_definition():
-    assert (CORE / "protocol.h").read_text() == header.header(), "run `python -m station.device.header`"
-    assert (CORE / "protocol.c").read_text() == header.source(), "run `python -m station.device.header`"
+def test_the_generated_sources_are_up_to_date_with_their_definitions():
+    for name, text in header.generated().items():
+        assert (CORE / name).read_text() == text, "run `python -m station.device.header`"
 
 
 @pytest.mark.parametrize("name", ["gcc", "clang"])
@@ -40,7 +40,7 @@ def test_the_core_needs_neither_heap_nor_floating_point_nor_board():
         text = re.sub(r"/\*.*?\*/", "", path.read_text(), flags=re.DOTALL)
         assert not re.search(r"\b(malloc|calloc|realloc|free|float|double|printf)\b", text), path.name
         included = set(re.findall(r"#include\s+[<\"]([^>\"]+)", text))
-        assert included <= {"stdint.h", "string.h", "protocol.h", "frame.h", "core.h"}, path.name
+        assert included <= {"stdint.h", "string.h", "protocol.h", "frame.h", "core.h", "states.h"}, path.name
 
 
 def test_every_c_file_of_the_host_board_is_part_of_the_build_hash():
@@ -78,7 +78,7 @@ def test_the_hash_follows_meaning_and_not_words():
     text = (firmware_folder() / "protocol.toml").read_text()
     assert Protocol.from_toml(text).hash == PROTOCOL.hash
     assert Protocol.from_toml(text.replace('doc = "the tick"', 'doc = "its tick"')).hash == PROTOCOL.hash
-    for change in (("version = 1", "version = 2"), ('name = "accel", type = "i16"', 'name = "accel", type = "i32"'),
+    for change in (("version = 2", "version = 3"), ('name = "accel", type = "i16"', 'name = "accel", type = "i32"'),
                    ('unit = "mHz"', 'unit = "Hz"'), ("held = 2", "held = 12"), ("code = 0x83", "code = 0x93")):
         assert change[0] in text
         assert Protocol.from_toml(text.replace(*change)).hash != PROTOCOL.hash

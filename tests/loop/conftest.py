@@ -13,6 +13,7 @@ from station.loop.run_test import LoopResult, run_test
 from station.loop.sink import MemorySink
 from station.rig import load_rig
 from station.runs.run import Run
+from tests.device.conftest import scripted  # noqa: F401  (a fixture of ours, too)
 
 RIG = load_rig("sflr")
 LEAD = {"kind": "lead", "gain": 20.0, "zero": 31.4159, "pole": 125.6637}

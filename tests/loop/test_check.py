@@ -154,11 +154,11 @@ def test_loopback_measures_a_device_clock_that_is_off(rows, tmp_path):
     n = np.arange(1000)
     received = n * 0.00204  # this machine's clock; the device believes 2 ms
     table = np.column_stack([n, n * 0.002, np.ones(1000), received, received + 1e-4])
-    result = _judge(identity, 500.0, Counts(samples=1000), table, None)
+    result = _judge("/dev/ttyUSB0", identity, 500.0, Counts(samples=1000), table, None)
     assert result.rate_measured == pytest.approx(500.0 / 1.02)
     assert any("clock runs at 0.98039" in words for words in result.verdict)
     bursts = np.column_stack([n, n * 0.002, np.ones(1000), np.floor(n / 8) * 0.016, np.floor(n / 8) * 0.016 + 1e-4])
-    result = _judge(identity, 500.0, Counts(samples=1000), bursts, None)
+    result = _judge("/dev/ttyUSB0", identity, 500.0, Counts(samples=1000), bursts, None)
     assert any("latency timer" in words for words in result.verdict)
 
 

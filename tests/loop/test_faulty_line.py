@@ -79,6 +79,18 @@ def test_late_commands_are_counted_and_never_used(rows, seed):
     assert np.count_nonzero(run.status & Status.LATE) in (late, late - 1)
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_samples_that_were_overtaken_are_lost_and_told_apart_from_those_that_come_twice(rows, seed):
+    counts, line, run = with_faults(rows, "reorder=0.03&on=sample", seed)
+    overtaken = line.counts["sample", "reorder"]
+    assert overtaken > 20
+    assert counts.lost == overtaken - beyond(counts)
+    assert counts.reordered in (counts.lost, counts.lost - 1)  # the last one may still be on its way
+    assert counts.duplicated == counts.corrupt == 0
+    assert np.all(np.diff(run.n) > 0)
+    assert counts.device_samples == counts.samples + counts.lost + counts.after_stop
+
+
 def test_all_of_them_together_still_add_up(rows):
     counts, line, run = with_faults(rows, "drop=0.01&flip=0.01&duplicate=0.01&late=0.01", 7, 4000)
     assert counts.samples == len(run)

@@ -1,15 +1,16 @@
 """What a rig does through the loop is what ``simulate`` says of it: torques act in a session alone, from sample 0."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from station.control.references import reference_from_test
 from station.device.client import Client
 from station.device.port import open_port
+from station.device.protocol import Status
+from station.device.simulated import idle_command
+from station.errors import WorkError
 from station.model.effects import effect_class
-from station.model.simulate import build, simulate_model
+from station.model.simulate import Plant, build, simulate_model
 
 EFFECTS = {
     "command_bias": ("amplifier", {"offset": 6.0}),
@@ -41,44 +42,66 @@ def simulated(rig, run, **options):
     return simulate_model(build(rig), run, **options)
 
 
-def with_one_row_more(run):
-    """The run until the tick at which the stop found the rig."""
-    def longer(column):
-        return np.append(column, column[-1])
+def angles_of_starts(port):
+    """Where the arm is released at each session (rad), as the plant behind the port knows it."""
+    source, angles = port.serial.device._source, []
+    begin = source.begin
 
-    return replace(run, t=np.append(run.t, len(run) / run.sample_rate), reference=longer(run.reference),
-                   command=longer(run.command), encoder=longer(run.encoder), accel=longer(run.accel), n=None,
-                   device_time=None, host_time=None, status=None, command_sent=None, latency=None, slack=None)
+    def noted():
+        begin()
+        angles.append(float(source._plant.model.plan.base_angle @ source._plant._state.z))
+
+    source.begin = noted
+    return angles
 
 
 @pytest.mark.parametrize("test", TESTS)
 def test_a_session_is_the_simulation_of_the_same_rig_wherever_it_begins(rows, rig, port, test):
     spec, asked = TESTS[test]
     reference = reference_from_test(asked, rig.sample_rate)
-    angle = 0.0
+    starts = angles_of_starts(port)
     for _ in range(3):
-        rows.test(port, spec, rig=rig, reference=reference)
+        rows.test(port, spec, rig=rig, reference=reference, relative=True)
         run = rows.run
         assert run.metadata.start == "released"
-        made = simulated(rig, run, start_angle=angle)
+        made = simulated(rig, run, start_angle=starts[-1])
         assert np.max(np.abs(made.encoder - run.encoder)) <= 1
         assert np.max(np.abs(made.accel - run.accel)) <= 1
         assert np.max(np.abs(made.command - run.command)) <= 1
         assert np.ptp(run.encoder) > 20
-        beyond = simulated(rig, with_one_row_more(run), start_angle=angle, rounding="inside")
-        angle = float(beyond.encoder[-1]) * rig.angle_per_count
-    assert angle != 0.0
+    assert starts[-1] != 0.0
 
 
-def test_between_sessions_the_rig_stands_still(rows, rig, port):
-    rows.test(port, TESTS["pulse"][0], rig=rig, rows=180)     # it ends at full speed
-    stood = []
+def test_after_a_session_the_arm_coasts_to_rest_and_then_stands_still(rows, rig, port):
+    """It ends at full speed: the device says that the arm moves, and what the host asks of rest waits for it."""
+    rows.test(port, TESTS["pulse"][0], rig=rig, rows=180)
+    speed = abs(rows.run.encoder[-1] - rows.run.encoder[-2])
+    assert speed >= 1
     client = Client(port)
-    for _ in range(5):
-        client.wait(0.3)
-        stood.append(client.statistics().encoder)
-    assert abs(rows.run.encoder[-1] - rows.run.encoder[-2]) >= 1
-    assert len(set(stood)) == 1
-    assert abs(stood[0] - rows.run.encoder[-1]) <= 2 * abs(rows.run.encoder[-1] - rows.run.encoder[-2])
-    rows.test(port, {"kind": "open"}, rig=rig, reference=np.zeros(50))
-    assert rows.run.encoder[0] == rows.run.encoder[1] == stood[0]
+    found = client.statistics()
+    assert found.status & Status.MOVING
+    rested = client.wait_for_rest(20.0)
+    assert abs(rested - rows.run.encoder[-1]) > speed
+    client.wait(1.0)
+    stood = client.statistics().encoder  # where the brake has caught it
+    client.wait(5.0)
+    assert client.statistics().encoder == stood
+    rows.test(port, {"kind": "open"}, rig=rig, reference=np.zeros(150))
+    assert rows.run.encoder[0] == stood
+
+
+def test_a_test_on_an_arm_that_moves_is_refused_and_leaves_no_log(rows, rig, port, monkeypatch):
+    rows.test(port, TESTS["pulse"][0], rig=rig, rows=180)
+    monkeypatch.setattr("station.loop.run_test.SETTLE_SECONDS", 0.0)
+    with pytest.raises(WorkError, match="the arm still moves"):
+        rows.test(port, TESTS["pulse"][0], rig=rig)
+    assert len(rows.sinks) == 1
+
+
+def test_a_drive_that_is_off_pushes_neither_way(rig):
+    plant = Plant(rig)
+    command = idle_command(rig)
+    held = [plant.advance(command) or plant.sample()[0] for _ in range(200)]
+    if rig.effects[0].name in ("command_bias", "coulomb_friction"):
+        assert set(held) == {0}
+    assert (command == -6.0) == (rig.effects[0].name == "command_bias")

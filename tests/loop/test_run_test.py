@@ -3,6 +3,8 @@
 import contextlib
 import gc
 import sys
+import threading
+import time
 
 import numpy as np
 import pytest
@@ -124,10 +126,24 @@ def test_runs_of_one_device_share_its_encoder_zero_and_no_session(rows):
     assert rows.sinks[1].rows[0][4] == pytest.approx(100, abs=40)  # the second begins where the first left the arm
 
 
-def test_progress_is_told_ten_times_a_second_of_device_time(rows):
+def test_progress_is_told_from_beside_the_loop(rows, monkeypatch):
+    monkeypatch.setattr("station.loop.display.PERIOD", 1e-4)
     told = []
-    rows.test_at("sim://sflr", progress=lambda row, total: told.append((row, total)))
-    assert told == [(row, 600) for row in range(0, 600, 50)]
+    rows.test_at("sim://sflr", rows=3000, progress=lambda row, total: told.append((row, total, threading.get_ident())))
+    assert len(told) > 5
+    assert all(total == 3000 and thread != threading.get_ident() for _, total, thread in told)
+    seen = [row for row, *_ in told]
+    assert seen == sorted(seen) and seen[-1] < 3000 and len(set(seen)) > 3
+
+
+@pytest.mark.parametrize("display", [lambda: 1 / 0, lambda: time.sleep(30.0)], ids=["fails", "hangs"])
+def test_a_display_that_fails_or_hangs_changes_nothing(rows, monkeypatch, display):
+    monkeypatch.setattr("station.loop.display.PERIOD", 1e-4)
+    monkeypatch.setattr("station.loop.display._PATIENCE", 0.05)
+    begun = time.monotonic()
+    result = rows.test_at("sim://sflr", rows=3000, progress=lambda row, total: display())
+    assert result.counts.samples == 3000 and rows.sinks[-1].closed
+    assert time.monotonic() - begun < 20.0
 
 
 def test_a_device_at_another_rate_is_refused_before_a_log_is_made(rows):
@@ -196,9 +212,14 @@ def test_in_real_time_every_tick_is_accounted_for(rows):
 
 def test_the_interpreter_is_left_as_it_was(rows):
     interval, seen = sys.getswitchinterval(), []
+
+    def sink(metadata):
+        made = rows.sink(metadata)
+        made.append = lambda row: seen.append((gc.isenabled(), sys.getswitchinterval()))
+        return made
+
     with contextlib.suppress(WorkError):  # a busy machine may fault the device
-        rows.test_at("sim://sflr?speed=1", rows=120,
-                     progress=lambda row, total: seen.append((gc.isenabled(), sys.getswitchinterval())))
+        rows.test_at("sim://sflr?speed=1", rows=120, log_sink=sink)
     assert seen[0] == (False, pytest.approx(1e-4))
     assert gc.isenabled()
     assert sys.getswitchinterval() == interval

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 
 import numpy as np
@@ -60,7 +61,7 @@ def test_whatever_is_raised_in_the_compensator(rows, error):
         assert len(rows.run) == ROW  # the sample that was not answered is logged too
         assert np.isnan(rows.run.command_sent[-1])
         assert rows.run.command[-1] != 0.0
-        rows.test(port)  # and the next test runs
+        rows.test(port, relative=True)  # and the next test runs
         assert len(rows.run) == 600
 
 
@@ -82,26 +83,77 @@ def test_a_log_that_fails(rows, error):
         assert at_rest(port)
 
 
-def test_a_progress_display_that_fails(rows):
-    def progress(row, total):
-        if row >= ROW:
-            raise RuntimeError("display")
+def test_a_log_that_cannot_be_made_arms_nothing(rows, monkeypatch):
+    """Whatever ends the making of the log, the device is idle: it was never armed."""
+    for error in (WorkError("no room"), KeyboardInterrupt()):
+        def refuse(metadata, error=error):
+            raise error
+        with open_port("sim://sflr") as port:
+            with monkeypatch.context() as patch:
+                patch.setattr(Client, "arm", lambda self: pytest.fail("armed"))
+                with pytest.raises(type(error)):
+                    rows.test(port, log_sink=refuse)
+            assert at_rest(port)
+            rows.test(port)
+
+
+@pytest.mark.parametrize("at", range(12))
+def test_ctrl_c_at_any_request_of_the_beginning_leaves_the_device_idle(rows, at):
+    """The interrupt comes right after the at-th write: identify, configure, arm, start and what lies between."""
     with open_port("sim://sflr") as port:
-        with pytest.raises(RuntimeError):
-            rows.test(port, progress=progress)
+        serial, write, writes = port.serial, port.serial.write, []
+
+        def interrupted(data):
+            done = write(data)
+            writes.append(data)
+            if len(writes) == at + 1:
+                raise KeyboardInterrupt
+            return done
+
+        serial.write = interrupted
+        with pytest.raises(KeyboardInterrupt):
+            rows.test(port)
         assert at_rest(port)
+        assert all(sink.closed for sink in rows.sinks)
+        serial.write = write
+        assert rows.test(port).counts.samples == 600
 
 
-def test_a_log_that_cannot_be_made_starts_nothing(rows):
-    def refuse(metadata):
-        raise WorkError("no room")
+@pytest.mark.parametrize("error", [WorkError("refused"), KeyboardInterrupt()])
+def test_what_breaks_between_arm_and_start_leaves_the_device_idle(rows, error, monkeypatch):
+    def broken(self):
+        raise error
     with open_port("sim://sflr") as port:
-        with pytest.raises(WorkError, match="no room"):
-            rows.test(port, log_sink=refuse)
-        core = port.serial.device.core
-        assert core.drive == 0
-        assert core.state == State.ARMED  # never started, so never driven
-        rows.test(port)
+        monkeypatch.setattr(Client, "start", broken)
+        with pytest.raises(type(error)):
+            rows.test(port)
+        assert at_rest(port)
+        assert rows.sinks[-1].closed
+
+
+def test_the_abort_key_takes_the_motor_to_zero_within_one_tick(rows):
+    abort = threading.Event()
+
+    def sink(metadata):
+        made = rows.sink(metadata)
+        keep = made.rows.append
+
+        def append(row):
+            keep(row)
+            if row[0] == ROW:
+                abort.set()
+        made.append = append
+        return made
+
+    with open_port("sim://sflr") as port:
+        with pytest.raises(KeyboardInterrupt):
+            rows.test(port, log_sink=sink, abort=abort)
+        assert at_rest(port)
+        counts = rows.sinks[-1].metadata.model_extra["counts"]
+    assert len(rows.run) == ROW + 2  # the sample that came next was answered by the stop
+    assert rows.run.command[ROW + 1] != 0.0 and counts["after_stop"] == 0
+    assert counts["device_samples"] == len(rows.run)
+    assert rows.sinks[-1].metadata.model_extra["outcome"] == "interrupted"
 
 
 def test_a_pulled_cable_is_told_and_the_watchdog_takes_the_motor_to_zero(rows):
@@ -198,11 +250,13 @@ def test_ctrl_c_stops_the_device(device):
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 def test_a_killed_device_is_told_in_one_line(rows):
     with DeviceProcess("sflr", pty=False, speed=0) as served, open_port(served.addresses.tcp) as port:
-        def progress(row, total):
-            if row == ROW:
-                served.process.kill()
+        def sink(metadata):
+            made = rows.sink(metadata)
+            keep = made.rows.append
+            made.append = lambda row: (keep(row), served.process.kill() if row[0] == ROW else None)
+            return made
         with pytest.raises(WorkError) as told:
-            rows.test(port, progress=progress)
+            rows.test(port, log_sink=sink)
     assert "\n" not in str(told.value)
     assert served.addresses.tcp in str(told.value)
     assert rows.sinks[-1].closed

@@ -1,16 +1,25 @@
 """The live log: nothing dropped, nothing blocked, readable whatever ends it."""
 
 import errno
+import os
+import re
 import subprocess
 import sys
 import textwrap
+import threading
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from station.control.compensators import Compensator
+from station.device.port import open_port
+from station.device.protocol import State
 from station.errors import WorkError
+from station.loop.run_test import run_test
+from station.loop.sink import MemorySink
+from station.rig import load_rig
 from station.runs import McapLogWriter, load_run
 from station.runs.mcap_read import scan_mcap
 from station.runs.run import RunMetadata
@@ -87,24 +96,101 @@ def test_a_place_that_cannot_be_written_is_refused_at_once(path, words, tmp_path
         McapLogWriter(tmp_path / path, METADATA)
 
 
-def test_a_full_disk_is_told_at_the_next_row_and_what_was_written_stays(tmp_path):
+class Quota:
+    """A raw file on a disk that has so many bytes left; what fits of a write is written, as the system does."""
+
+    def __init__(self, file, room):
+        self._file, self.room = file, room
+
+    def write(self, data):
+        if self.room <= 0:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        written = self._file.write(data[:self.room])
+        self.room -= written
+        return written
+
+    def __getattr__(self, name):
+        return getattr(self._file, name)
+
+
+@pytest.mark.parametrize("room", [1, 700, 1500, 3000, 5000, 8001])
+def test_on_a_full_disk_the_rows_said_to_be_in_the_file_are_those_that_can_be_read(tmp_path, room):
     log = McapLogWriter(tmp_path / "a.mcap", METADATA, blueprint=False)
     for index in range(100):
         log.append(row(index))
     _until(lambda: log.rows_written == 100)
-    time.sleep(0.1)
-
-    def full(*_: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    log._file.write = full  # type: ignore[method-assign]
+    log._file._file = Quota(log._file._file, room)
+    appended = 100
     with pytest.raises(WorkError, match="a.mcap: the log cannot be written .No space left on device.*are lost"):
         for index in range(100, 100000):
             log.append(row(index))
-            time.sleep(0.001)
-    with pytest.raises(WorkError, match="No space left"):
+            appended += 1
+            time.sleep(0.0005)
+    with pytest.raises(WorkError, match="No space left") as told:
         log.close()
-    assert len(load_run(tmp_path / "a.mcap")) >= 100
+    said, lost = (int(number) for number in re.search(r"(\d+) rows are in the file, (\d+) are lost", str(told.value))
+                  .groups())
+    run = load_run(tmp_path / "a.mcap")
+    np.testing.assert_array_equal(run.n, np.arange(said))
+    assert said == log.rows_written and said + lost == appended + 1  # the row whose append raised is lost, too
+    assert run.metadata.model_extra["cut_short"]
+
+
+def test_a_disk_that_does_not_keep_up_ends_a_test_in_real_time_and_drops_nothing(tmp_path):
+    paced = RunMetadata(clock="real")
+    log = McapLogWriter(tmp_path / "a.mcap", paced, capacity=200, blueprint=False)
+    slow, commit = threading.Event(), log._file.commit
+    log._file.commit = lambda: (slow.wait(30.0), commit())
+    longest, taken = 0.0, 0
+    with pytest.raises(WorkError, match=r"the disk does not keep up, 200 rows wait for it"):
+        for index in range(10000):
+            begun = time.perf_counter()
+            log.append(row(index))
+            longest, taken = max(longest, time.perf_counter() - begun), index + 1
+            time.sleep(0.0001)
+    assert longest < 0.1 and log.waits == 0  # it never waited for the disk
+    slow.set()
+    log.close()
+    np.testing.assert_array_equal(load_run(tmp_path / "a.mcap").n, np.arange(taken + 1))
+
+
+def test_a_log_without_rows_leaves_no_file(tmp_path):
+    McapLogWriter(tmp_path / "a.mcap", METADATA).close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_is_read_only_is_told_at_once(tmp_path, monkeypatch):
+    if hasattr(os, "geteuid") and os.geteuid() == 0:  # root may write anywhere: the system's answer is put in
+        def refused(*_, **__):
+            raise PermissionError(errno.EACCES, "Permission denied")
+
+        monkeypatch.setattr(Path, "open", refused)
+    else:
+        tmp_path.chmod(0o500)
+    with pytest.raises(WorkError, match=r"a.mcap: cannot be written \(Permission denied\)"):
+        McapLogWriter(tmp_path / "a.mcap", METADATA)
+
+
+def test_a_test_on_a_full_disk_ends_with_the_motor_at_zero(tmp_path):
+    """The rows that were counted as logged, lost, and sent after the stop are those that the device sent."""
+    sinks = []
+
+    def sink(metadata):
+        sinks.append(McapLogWriter(tmp_path / "a.mcap", metadata, blueprint=False))
+        sinks[-1]._file._file = Quota(sinks[-1]._file._file, 300_000)
+        return sinks[-1]
+
+    rig = load_rig("sflr")
+    compensator = Compensator.from_spec({"kind": "p", "gain": 2.0}, rig.sample_rate, 200.0)
+    reference = np.where(np.arange(60_000) < 100, 0.0, 60.0)
+    with open_port("sim://sflr") as port:
+        with pytest.raises(WorkError, match="No space left on device"):
+            run_test(port, rig, compensator, reference, log_sink=sink)
+        core = port.serial.device.core
+        assert core.state == State.IDLE and core.drive == 0
+        again = run_test(port, rig, compensator, reference[:300], log_sink=MemorySink)
+        assert again.counts.samples == 300
+    assert len(load_run(tmp_path / "a.mcap")) == sinks[0].rows_written > 0
 
 
 def test_a_row_of_the_wrong_length_is_told(tmp_path):

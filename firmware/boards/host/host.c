@@ -17,6 +17,7 @@ extern const station_size station_sizes[]; /* ends with a name of 0 */
 uint32_t station_protocol_hash(void);
 uint16_t station_encode(const uint8_t *body, uint16_t length, uint16_t session, uint8_t *wire);
 uint16_t station_unstuff(uint8_t *frame, uint16_t length);
+uint16_t station_decode(uint8_t *frame, uint16_t length, uint16_t session);
 uint16_t station_crc(uint16_t crc, const uint8_t *bytes, uint16_t length);
 
 /* declarations: end */

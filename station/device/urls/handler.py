@@ -16,8 +16,8 @@ from station.errors import StationError, UsageError
 _NUMBERS: dict[str, tuple[type, float, float]] = {
     "speed": (int, 0, 1), "seed": (int, 0, 2**63), "noise": (float, 0.0, 1e4), "angle": (float, -1e3, 1e3),
     "accel_offset": (float, -1e4, 1e4), "drop": (float, 0.0, 1.0), "flip": (float, 0.0, 1.0),
-    "duplicate": (float, 0.0, 1.0), "late": (float, 0.0, 1.0), "silent_after": (int, 0, 2**31),
-    "unplug_after": (int, 0, 2**31),
+    "duplicate": (float, 0.0, 1.0), "late": (float, 0.0, 1.0), "reorder": (float, 0.0, 1.0),
+    "silent_after": (int, 0, 2**31), "unplug_after": (int, 0, 2**31),
 }
 _OF_FAULTS = frozenset(Faults.__dataclass_fields__)
 

@@ -1,0 +1,77 @@
+/* Written by `python -m station.device.header` from firmware/states.toml.  Do not edit. */
+
+#ifndef STATION_STATES_H
+#define STATION_STATES_H
+
+#include <stdint.h>
+
+#include "protocol.h"
+
+enum {
+    STATION_STATES = 4,
+    STATION_REFUSED = 0xff,
+    STATION_FOREIGN = 0xfe,
+    STATION_NEVER = 0xfd
+};
+
+enum {
+    STATION_EVENT_IDENTIFY,
+    STATION_EVENT_CONFIGURE,
+    STATION_EVENT_ARM,
+    STATION_EVENT_START,
+    STATION_EVENT_COMMAND,
+    STATION_EVENT_STOP,
+    STATION_EVENT_CLEAR,
+    STATION_EVENT_ZERO,
+    STATION_EVENT_QUERY,
+    STATION_EVENT_LATE,
+    STATION_EVENT_EARLY,
+    STATION_EVENT_REPEATED,
+    STATION_EVENT_OUT_OF_WINDOW,
+    STATION_EVENT_CORRUPT,
+    STATION_EVENT_HELD,
+    STATION_EVENT_ZEROED,
+    STATION_EVENT_HOST_SILENT,
+    STATION_EVENT_TRAVEL,
+    STATION_EVENT_SPEED,
+    STATION_EVENT_STALLED,
+    STATION_EVENT_OVERRUN,
+    STATION_EVENT_ESTOP,
+    STATION_EVENT_HOST_GONE,
+    STATION_EVENT_WOKE_LATE,
+    STATION_EVENT_EXPIRE,
+    STATION_EVENTS
+};
+
+enum {
+    STATION_COUNT_NONE,
+    STATION_COUNT_SAMPLES,
+    STATION_COUNT_UNSENT_SAMPLES,
+    STATION_COUNT_UNSENT_FRAMES,
+    STATION_COUNT_COMMANDS,
+    STATION_COUNT_HELD,
+    STATION_COUNT_ZEROED,
+    STATION_COUNT_LATE,
+    STATION_COUNT_EARLY,
+    STATION_COUNT_REPEATED,
+    STATION_COUNT_OUT_OF_WINDOW,
+    STATION_COUNT_LIMITED,
+    STATION_COUNT_CORRUPT,
+    STATION_COUNT_WOKE_LATE,
+    STATION_COUNT_OVERRUNS,
+    STATION_COUNT_REFUSED,
+    STATION_COUNT_FAULTS,
+    STATION_COUNTS
+};
+
+typedef struct {
+    uint8_t next;    /* the state after the event, or one of the three words above */
+    uint8_t counter; /* STATION_COUNT_... */
+    uint8_t fault;   /* set where it leads into fault */
+} station_cell;
+
+extern const station_cell station_cells[STATION_STATES][STATION_EVENTS];
+
+void station_fill_statistics(const uint32_t *counts, station_statistics *out);
+
+#endif
