@@ -12,7 +12,7 @@ import tomllib
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tomli_w
@@ -25,8 +25,11 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 MAX_FILE_BYTES = 1 << 20
-EXACT = frozenset({"amplifier.limit", "encoder.counts_per_revolution", "beam.elements"})
-"""Numbers of a rig that carry no uncertainty."""
+EXACT = frozenset({"amplifier.limit", "encoder.counts_per_revolution", "beam.elements", "beam.mesh"})
+"""Keys of a rig that carry no uncertainty."""
+MAX_ELEMENTS = 200
+MESH_ACCURACY = 0.0025
+"""Relative error of a bending wave's frequency on a refined mesh, at a quarter of the sample rate."""
 
 
 class _Table(BaseModel):
@@ -68,13 +71,17 @@ class Base(_Table):
 
 
 class Beam(_Table):
-    """mass_per_length kg/m, length m, flexural_rigidity N m^2, damping s (stiffness-proportional), elements."""
+    """mass_per_length kg/m, length m, flexural_rigidity N m^2, damping s (stiffness-proportional), elements.
+
+    ``elements`` is the least number where the mesh is ``refined`` (see ``Rig.meshed``), the number where ``as_stated``.
+    """
 
     mass_per_length: Positive
     length: Positive
     flexural_rigidity: Positive
     damping: NotNegative = 0.0
-    elements: Annotated[int, Field(ge=1, le=200)] = 4
+    elements: Annotated[int, Field(ge=1, le=MAX_ELEMENTS)] = 4
+    mesh: Literal["refined", "as_stated"] = "refined"
 
 
 class Tip(_Table):
@@ -233,6 +240,20 @@ class Rig(_Table):
         if self.beam is None or self.beam.elements >= least:
             return self
         return self._copy({"beam": self.beam.model_copy(update={"elements": least})})
+
+    def meshed(self) -> Rig:
+        """A copy with the elements that simulations use: the rig file's, and more where its mesh may be refined.
+
+        A bending wave of angular frequency w has the wave number k = (w^2 m/EI)^(1/4); on cubic elements of length h
+        with consistent mass its frequency is too high by the share (k h)^4/1440.  So many elements that this is at most
+        MESH_ACCURACY at a quarter of the sample rate, the highest at which a sampled loop does much.
+        """
+        if self.beam is None or self.beam.mesh == "as_stated":
+            return self
+        frequency = 0.25 * 2.0 * math.pi * self.sample_rate
+        wave_number = (frequency**2 * self.beam.mass_per_length / self.beam.flexural_rigidity) ** 0.25
+        wanted = math.ceil(self.beam.length * wave_number / (1440.0 * MESH_ACCURACY) ** 0.25)
+        return self.with_elements(min(wanted, MAX_ELEMENTS))
 
     def _copy(self, update: dict[str, Any]) -> Rig:
         copy = self.model_copy(update=update)

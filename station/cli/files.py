@@ -206,22 +206,16 @@ def _command_limit(run: Run, path: Path) -> float:
 
 def _simulated(model: str, runs: list[Run], save: Path | None) -> list[dict[str, Any]]:
     """How a rig's simulation does the same tests; drawn beside the measured runs where that is asked for."""
-    from station.cli.models import simulations
     from station.cli.views import status_names
+    from station.diagnose.compare import compare
     from station.rig import load_rig
     from station.view.recording import write_recording
 
     rig = load_rig(model)
-    found = [_measures(run, simulation) for run, simulation in zip(runs, simulations(rig, runs), strict=True)]
+    found = compare(rig, runs).measures
     if save is not None:
         write_recording(save, runs, rig, status_names=status_names())
     return found
-
-
-def _measures(run: Run, simulation: Any) -> dict[str, Any]:
-    from station.diagnose.measures import measures
-
-    return measures(run, simulation)
 
 
 def _against(found: dict[str, Any]) -> str:

@@ -15,7 +15,6 @@ from station.errors import UsageError
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from station.model.simulate import Simulation
     from station.rig import Rig
     from station.runs.run import Run
 
@@ -27,6 +26,7 @@ def simulated_run(rig: Rig, run: Run, name: str) -> Run:
     """The test of a run, as the rig would have done it."""
     from station.model.simulate import simulate
 
+    run = run.filled()
     made = simulate(rig, run, accel_offset=run.metadata.accel_zero)
     metadata = run.metadata.model_copy(update={
         "rig": rig.model_dump(exclude_none=True), "firmware": None, "session": None, "zero_id": None,
@@ -46,7 +46,6 @@ def simulate(rig: RigName, like: Annotated[Path, typer.Option("--like", metavar=
 
     model = load_rig(rig)
     run = load_run(like)
-    run.require_unbroken()
     need_folder(out)
     made = simulated_run(model, run, out.stem)
     export_run(made, out, overwrite=overwrite)
@@ -56,30 +55,17 @@ def simulate(rig: RigName, like: Annotated[Path, typer.Option("--like", metavar=
 @command(app, "compare", PANEL, "station compare --rig sflr step.mcap pulse.mcap")
 def compare(runs: RunFiles, rig: RigName, json: Json = None) -> None:
     """Simulate the tests of runs on a rig, and measure how far simulation and measurement are apart."""
-    from station.diagnose.measures import measures
+    from station.diagnose.compare import compare as against
     from station.rig import load_rig
 
     need_folder(json)
-    model, loaded = load_rig(rig), load_runs(runs)
-    found = [measures(run, made) for run, made in zip(loaded, simulations(model, loaded), strict=True)]
+    model = load_rig(rig)
+    found = against(model, load_runs(runs)).measures
     if json:
         write_json(json, {"runs": found})
         if json == "-":
             return
     console().print(comparison_table(model.name, found))
-
-
-def simulations(rig: Rig, runs: list[Run]) -> list[Simulation]:
-    """The runs as the rig would have done them, starting angle and accelerometer offset estimated per run."""
-    import numpy as np
-
-    from station.diagnose.validation import simulate_runs
-    from station.estimation.dataset import dataset
-    from station.estimation.parameters import Hypothesis, parameters
-
-    data = dataset(rig, runs)
-    space = parameters(data, Hypothesis(), {})
-    return simulate_runs(data, space, np.zeros(space.size), data.start, data.offset)
 
 
 def comparison_table(rig: str, found: list[dict[str, Any]]) -> Table:

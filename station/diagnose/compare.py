@@ -1,0 +1,51 @@
+"""Measured runs against a rig's simulation of the same tests."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from station.diagnose.measures import measures
+from station.diagnose.validation import CHANNELS, settled_run, whole_run
+from station.estimation.dataset import Dataset, dataset
+from station.model.simulate import Model, Simulation, build
+from station.rig import Rig
+from station.runs.run import Run
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Runs, their gaps filled, and the simulations that stand beside them; ``measures`` as ``compare --json`` has it."""
+
+    rig: Rig
+    runs: tuple[Run, ...]
+    simulations: tuple[Simulation, ...]
+
+    @property
+    def measures(self) -> list[dict[str, Any]]:
+        """Per run: nrmse of each channel, and the step measures, measured and simulated."""
+        return [measures(run, made) for run, made in zip(self.runs, self.simulations, strict=True)]
+
+
+def compare(rig: Rig, runs: Sequence[Run]) -> Comparison:
+    """Simulate the tests of runs on a rig, starting angle and accelerometer offset estimated per run.
+
+    Where the first readings themselves suit a run better than that estimate, they are taken: a run that the rig
+    simulated compares to itself by 0.  WorkError: a run's rate is not the rig's, or its controller reads a sensor that
+    the rig has not.
+    """
+    data = dataset(rig, runs)
+    model = build(data.rig)
+    return Comparison(rig, data.runs, tuple(_nearest(data, model, r) for r in range(len(data.runs))))
+
+
+def _nearest(data: Dataset, model: Model, r: int) -> Simulation:
+    tried = [make(data, model, r, data.start[r], data.offset[r]) for make in (whole_run, settled_run)]
+
+    def error(made: Simulation) -> float:
+        away = np.stack([m - getattr(made, c) for m, c in zip(data.measured[r], CHANNELS[: data.channels], strict=False)])
+        return float(np.sum(np.nan_to_num(away, nan=np.inf) ** 2 * data.share[r] / data.sigma[:, None] ** 2))
+    return min(tried, key=error)
