@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from station.cli.options import Json, Out, Overwrite, RunFile, RunFiles, command, load_runs, need_folder, rig_of
+from station.cli.options import Json, Out, Overwrite, RunFile, RunFiles, command, load_runs, need_outputs, rig_of
 from station.cli.terminal import console, number, one_line, row, say, table, write_json
 from station.errors import UsageError
 
@@ -32,7 +32,7 @@ def import_(
     from station.rig import load_rig
     from station.runs import import_run
 
-    need_folder(out)
+    need_outputs(out, overwrite=overwrite, inputs=[run, rig])
     described = load_rig(rig).model_dump(exclude_none=True) if rig else None
     done = import_run(run, out, overwrite=overwrite, rig=described, zero_id=zero_id)
     say(_written(out, done, run))
@@ -43,7 +43,7 @@ def export(run: RunFile, out: Out, overwrite: Overwrite = False) -> None:
     """Write a run as .csv, .parquet, .mat, .rrd (Rerun) or .mcap."""
     from station.runs import export_run, load_run
 
-    need_folder(out)
+    need_outputs(out, overwrite=overwrite, inputs=[run])
     done = load_run(run)
     export_run(done, out, overwrite)
     say(_written(out, done, run))
@@ -65,11 +65,12 @@ def runs(
     until: Annotated[str | None, typer.Option("--until", metavar="DATE", help="Only up to this date.")] = None,
     tag: Annotated[str | None, typer.Option("--tag", metavar="TAG", help="Only with this tag.")] = None,
     plan: Annotated[str | None, typer.Option("--plan", metavar="NAME", help="Only of the plan of this name.")] = None,
-    json: Json = None,
+    json: Json = None, overwrite: Overwrite = False,
 ) -> None:
     """List the runs of a folder; a file that cannot be read is listed with the reason."""
     from station.runs import RunFilter, list_runs
 
+    need_outputs(json, overwrite=overwrite)
     wanted = RunFilter(rig, kind, controller, since, until, tag, plan)
     found = [item for item in list_runs(folder) if wanted.takes(item)]
     if json:
@@ -129,20 +130,18 @@ def trim(
     """Cut a run: the rows from one time to another, as a run of its own; the original stays as it is."""
     from station.runs import trim as cut
 
-    need_folder(out)
-    if out.exists() and run.exists() and out.samefile(run):
-        raise UsageError(f"--out {out}: is the run itself; name another file")
+    need_outputs(out, overwrite=overwrite, inputs=[run])
     done = cut(run, out, begin, end, overwrite=overwrite)
     say(_written(out, done, run))
 
 
 @command(app, "recover", PANEL, "station recover broken.mcap --out whole.mcap")
-def recover(run: RunFile, out: Out) -> None:
+def recover(run: RunFile, out: Out, overwrite: Overwrite = False) -> None:
     """Complete a log that was cut short into a copy that other programs open; the original stays as it is."""
     from station.runs import recover as rescue
 
-    need_folder(out)
-    found = rescue(run, out)
+    need_outputs(out, overwrite=overwrite, inputs=[run])
+    found = rescue(run, out, overwrite=overwrite)
     state = f"the log ends early ({found.cut_short})" if found.cut_short else "the log was complete"
     say(f"{out}: {found.rows} rows; {state}")
 
@@ -160,7 +159,7 @@ def replay(
         "Start from the logged reference after the accelerometer loop, where the log has it."))] = False,
     tolerance: Annotated[float, typer.Option("--tolerance", min=0.0, metavar="COUNTS", help=(
         "Difference that still counts as the same command."))] = 1e-3,
-    json: Json = None,
+    json: Json = None, overwrite: Overwrite = False,
 ) -> None:
     """Work out a run's commands again by its own compensator or another, and say where and why they are not the
     logged ones; with --model, how the simulated rig does the same test.
@@ -173,7 +172,7 @@ def replay(
 
     if save is not None and (model is None or save.suffix.lower() != ".rrd"):
         raise UsageError(f"--save {save}: a recording's name ends in .rrd, and --model says what is drawn beside a run")
-    need_folder(save)
+    need_outputs(save, json, overwrite=overwrite, inputs=[model, rig, controller, *run])
     results = []
     for path, item in zip(run, load_runs(run), strict=True):
         limit = load_rig(rig).command_limit if rig is not None else _command_limit(item, path)

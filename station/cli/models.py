@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from station.cli.options import Json, Out, Overwrite, RigName, RunFiles, command, load_runs, need_folder
+from station.cli.options import Json, Out, Overwrite, RigName, RunFiles, command, load_runs, need_outputs
 from station.cli.terminal import console, number, progress, row, say, table, write_json, write_text
 from station.errors import UsageError
 
@@ -46,19 +46,19 @@ def simulate(rig: RigName, like: Annotated[Path, typer.Option("--like", metavar=
 
     model = load_rig(rig)
     run = load_run(like)
-    need_folder(out)
+    need_outputs(out, overwrite=overwrite, inputs=[like, rig])
     made = simulated_run(model, run, out.stem)
     export_run(made, out, overwrite=overwrite)
     say(f"{out}: {len(made)} rows, the test of {like} on {model.name}")
 
 
 @command(app, "compare", PANEL, "station compare --rig sflr step.mcap pulse.mcap")
-def compare(runs: RunFiles, rig: RigName, json: Json = None) -> None:
+def compare(runs: RunFiles, rig: RigName, json: Json = None, overwrite: Overwrite = False) -> None:
     """Simulate the tests of runs on a rig, and measure how far simulation and measurement are apart."""
     from station.diagnose.compare import compare as against
     from station.rig import load_rig
 
-    need_folder(json)
+    need_outputs(json, overwrite=overwrite, inputs=[rig, *runs])
     model = load_rig(rig)
     found = against(model, load_runs(runs)).measures
     if json:
@@ -94,14 +94,13 @@ def fit(
     domain: Annotated[Literal["time", "frequency", "both"], typer.Option("--domain", help=(
         "Compare simulations with the runs, or frequency responses with the model's."))] = "time",
     starts: Annotated[int, typer.Option("--starts", min=1, max=100, help="Starting points of the search.")] = 4,
-    json: Json = None,
+    json: Json = None, overwrite: Overwrite = False,
 ) -> None:
     """Fit a rig's constants to runs within their stated uncertainty, and say what the runs cannot determine."""
     from station.fit import fit as fit_rig
     from station.rig import load_rig
 
-    for path in (save_rig, json):
-        need_folder(path)
+    need_outputs(save_rig, json, overwrite=overwrite, inputs=[rig, *runs])
     model, loaded = load_rig(rig), load_runs(runs)
     with progress("fitting") as update:
         found = fit_rig(model, loaded, hold, domain=domain, starts=starts, progress=lambda text: update(None, text))
@@ -122,13 +121,14 @@ def bode(
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Figure to write: .png, .svg or .pdf.")],
     run: Annotated[Path | None, typer.Option("--run", metavar="RUN", help=(
         "Run whose measured response and coherence are drawn as well; a sweep is best."))] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Draw the frequency responses of a rig: finite elements, continuous beam, and a run's if one is given."""
     from station.rig import load_rig
     from station.runs import load_run
     from station.view.bode import bode_figure
 
-    need_folder(out)
+    need_outputs(out, overwrite=overwrite, inputs=[rig, run])
     if out.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise UsageError(f"--out {out}: a figure's name ends in .png, .svg or .pdf")
     bode_figure(load_rig(rig), None if run is None else load_run(run)).savefig(out)

@@ -15,10 +15,13 @@ from station.model.simulate import Model, Simulation, build
 from station.rig import Rig
 from station.runs.run import Run
 
+FAR = 1e9
+"""What a simulation is away, counts, that has run off."""
+
 
 @dataclass(frozen=True)
 class Comparison:
-    """Runs, their gaps filled, and the simulations that stand beside them; ``measures`` as ``compare --json`` has it."""
+    """Runs, their gaps filled, and the simulations beside them."""
 
     rig: Rig
     runs: tuple[Run, ...]
@@ -26,7 +29,7 @@ class Comparison:
 
     @property
     def measures(self) -> list[dict[str, Any]]:
-        """Per run: nrmse of each channel, and the step measures, measured and simulated."""
+        """As ``compare --json`` has it: per run nrmse of each channel, and step measures, measured and simulated."""
         return [measures(run, made) for run, made in zip(self.runs, self.simulations, strict=True)]
 
 
@@ -46,6 +49,7 @@ def _nearest(data: Dataset, model: Model, r: int) -> Simulation:
     tried = [make(data, model, r, data.start[r], data.offset[r]) for make in (whole_run, settled_run)]
 
     def error(made: Simulation) -> float:
-        away = np.stack([m - getattr(made, c) for m, c in zip(data.measured[r], CHANNELS[: data.channels], strict=False)])
-        return float(np.sum(np.nan_to_num(away, nan=np.inf) ** 2 * data.share[r] / data.sigma[:, None] ** 2))
+        away = data.measured[r][: data.channels] - np.stack([getattr(made, c) for c in CHANNELS[: data.channels]])
+        away = np.nan_to_num(away, nan=FAR, posinf=FAR, neginf=-FAR)
+        return float(np.sum(data.share[r] * (away / data.sigma[:, None]) ** 2))
     return min(tried, key=error)

@@ -142,17 +142,17 @@ class Recovery:
     cut_short: str | None
 
 
-def recover(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Recovery:
+def recover(path: str | os.PathLike[str], out: str | os.PathLike[str], overwrite: bool = False) -> Recovery:
     """Complete a log that was cut short, or damaged, into a copy that other programs open; the original stays.
 
-    Raises WorkError where nothing can be read, or ``out`` exists.
+    Raises WorkError where nothing can be read, or ``out`` exists and is not to be replaced.
     """
-    path, out = check_input(path), check_output(out)
+    path, out = check_input(path), check_output(out, overwrite)
     contents = scan_mcap(path, salvage=True)
     metadata = contents.metadata
     if contents.cut_short:
         metadata = metadata.model_copy(update={"recovered": contents.cut_short})
-    write_mcap(Run.from_columns(str(path), out.stem, contents.columns, metadata), out)
+    write_mcap(Run.from_columns(str(path), out.stem, contents.columns, metadata), out, overwrite)
     return Recovery(len(contents.columns["t"]), contents.cut_short)
 
 

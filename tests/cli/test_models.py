@@ -111,6 +111,6 @@ def test_bode_draws_the_rig_and_a_run(station, step, tmp_path):
                    "--out", sweep).status == 0
     assert station("bode", "--rig", "sflr", "--run", sweep, "--out", out).status == 0
     assert out.read_text(encoding="utf-8").lstrip().startswith("<?xml")
-    ended = station("bode", "--rig", "sflr", "--run", step, "--out", out)
+    ended = station("bode", "--rig", "sflr", "--run", step, "--out", out, "--overwrite")
     assert ended.status == 1 and "step" in ended.one_line()
     assert station("bode", "--rig", "sflr", "--out", tmp_path / "bode.txt").status == 2
