@@ -18,6 +18,7 @@ import numpy as np
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_serializer, field_validator, model_validator
 
+from station import markup
 from station.errors import UsageError
 from station.model.effects import Effect, effect_class
 
@@ -277,6 +278,12 @@ class Rig(_Table):
                       if p.split(".")[0] == table and p.split(".")[1] in ("inertia", "damping", "gain")]
             covariance[np.ix_(shared, shared)] += common**2
         return covariance
+
+    def _repr_html_(self) -> str:
+        rows = [(path, f"{value:.6g}", f"{100.0 * self.sigma(path):.3g} %") for path, value in self.constants().items()]
+        rows += [(f"{e.name} at {e.at}, {key}", f"{value:.6g}", "") for e in self.effects
+                 for key, value in e.values().items()]
+        return markup.table(("constant (SI)", "value", "sigma"), rows, f"{self.name}, {self.sample_rate:g} Hz")
 
     @classmethod
     def from_toml(cls, text: str, source: str = "rig") -> Rig:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from station import markup
 from station.diagnose.measures import measures
 from station.diagnose.validation import CHANNELS, settled_run, whole_run
 from station.estimation.dataset import Dataset, dataset
@@ -31,6 +32,20 @@ class Comparison:
     def measures(self) -> list[dict[str, Any]]:
         """As ``compare --json`` has it: per run nrmse of each channel, and step measures, measured and simulated."""
         return [measures(run, made) for run, made in zip(self.runs, self.simulations, strict=True)]
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for found in self.measures:
+            error = [f"{100.0 * found[c]['nrmse']:.1f} %" if c in found else "-" for c in CHANNELS]
+            step = [f"{found[side]['overshoot_percent']:.1f} %" if found[side] else "-"
+                    for side in ("measured", "simulated")]
+            rows.append((found["run"], *error, *step))
+        plots = []
+        for run, made in zip(self.runs, self.simulations, strict=True):
+            lines = {"measured": run.encoder, "simulated": made.encoder}
+            plots.append(f"<div>{markup.legend(lines)}</div><div>{markup.plot(run.t, lines, run.name)}</div>")
+        return markup.table(("run", "angle error", "acceleration error", "overshoot measured", "simulated"), rows,
+                            f"Error in % of the signal's spread, simulated by {self.rig.name}") + "".join(plots)
 
 
 def compare(rig: Rig, runs: Sequence[Run]) -> Comparison:

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from station import markup
 from station.errors import WorkError
 from station.runs.columns import COLUMNS, as_columns
 
@@ -188,6 +189,18 @@ class Run:
             row = int(np.argmax(np.diff(self.n) > 1)) + 1
             raise WorkError(f"{self.name}: {self.lost_samples} samples lost, the first before row {row}; "
                             f"use the rows before it (Run.slice(0, {row}))")
+
+    def _repr_html_(self) -> str:
+        known = self.metadata
+        head = markup.table(("run", "test", "controller", "rows", "Hz", "lost"), [
+            (self.name, known.test.get("kind", "-"), known.controller.get("kind", "-"), len(self),
+             f"{self.sample_rate:g}", self.lost_samples)])
+        angle = {"encoder": self.encoder} if self.open_loop else {"reference": self.reference, "encoder": self.encoder}
+        plots = [markup.legend(angle), markup.plot(self.t, angle, f"{self.name}, counts")]
+        if self.accel is not None:
+            plots += [markup.legend(["accelerometer"]),
+                      markup.plot(self.t, {"accelerometer": self.accel}, f"{self.name}, counts")]
+        return head + "".join(f"<div>{part}</div>" for part in plots)
 
     @property
     def logged(self) -> np.ndarray:
