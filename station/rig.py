@@ -302,7 +302,7 @@ class Rig(_Table):
 
 
 def _first(error: ValidationError) -> str:
-    problem = error.errors()[0]
+    problem = min(error.errors(), key=lambda found: found["type"] != "extra_forbidden")  # the misspelt key itself
     path = ".".join(str(part) for part in problem["loc"])
     reason = {"extra_forbidden": "unknown key", "missing": "missing"}.get(problem["type"])
     if reason is None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from station.cli.options import Json, Overwrite, RigName, RunFiles, command, load_runs, need_outputs
-from station.cli.terminal import console, progress, write_json, write_text
+from station.cli.terminal import console, progress, say, write_json, write_text
 
 if TYPE_CHECKING:
     from station.diagnose.result import DiagnosisResult
@@ -41,6 +41,8 @@ def diagnose(
     save(result, json=json, report=report, rig=save_rig)
     if json != "-":
         print_diagnosis(result, console(), rig)
+        if save_rig is not None and not result.diagnosis.causes:
+            say(f"{save_rig}: {nominal.name}, its constants re-fitted within their uncertainty; no effect was added")
 
 
 def save(result: DiagnosisResult, *, json: Path | str | None, report: Path | None, rig: Path | None) -> None:

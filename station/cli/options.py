@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from station.cli.terminal import note
 from station.errors import UsageError, WorkError
 
 if TYPE_CHECKING:
@@ -44,8 +45,14 @@ def load_runs(paths: list[Path]) -> list[Run]:
     for path in paths:
         run = load_run(path)
         if run.name in seen:
-            raise UsageError(f"{path}: another run is named {run.name} too ({seen[run.name]}); rename one of them")
+            raise UsageError(f"{path}: another run is named {run.name} too ({seen[run.name]}); results are told apart "
+                             "by the files' names, so copy or rename one of them")
         seen[run.name] = path
+        early = run.metadata.entries().get("cut_short")
+        if early:
+            note(f"{path}: the log ends early ({early}); the {len(run)} rows that it has are used")
+        if run.lost_samples:
+            note(f"{path}: {run.lost_samples} samples are missing; simulations run on through the gaps")
         runs.append(run)
     return runs
 

@@ -1,7 +1,5 @@
-"""
-
-The package can be called: ``station.diagnose(rig, runs)`` is ``station.api.diagnose``, whichever was imported first.
-"""
+"""From runs to causes.  The package can be called: ``station.diagnose(rig, runs)`` is
+``station.api.diagnose``, whichever was imported first."""
 
 from __future__ import annotations
 
