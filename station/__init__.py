@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from station.errors import StationError, UsageError, WorkError
     from station.model.effects import Effect, effect_class, load_effects
     from station.rig import Rig
+    from station.runs.quality import quality
+    from station.runs.replay import compare_replay
     from station.runs.run import Run, RunMetadata
     from station.runs.store import export_run, import_run, list_runs
     from station.view.bode import bode_figure
@@ -28,6 +30,8 @@ _HOMES = {
     "errors": ("StationError", "UsageError", "WorkError"),
     "model.effects": ("Effect", "effect_class", "load_effects"),
     "rig": ("Rig",),
+    "runs.quality": ("quality",),
+    "runs.replay": ("compare_replay",),
     "runs.run": ("Run", "RunMetadata"),
     "runs.store": ("export_run", "import_run", "list_runs"),
     "view.bode": ("bode_figure",),
@@ -35,8 +39,8 @@ _HOMES = {
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = ["Compensator", "Effect", "Report", "Rig", "Run", "RunMetadata", "StationError", "UsageError", "WorkError",
-           "bode_figure", "compare", "diagnose", "effect_class", "export_run", "import_run", "list_runs",
-           "load_effects", "load_rig", "load_run", "open_port", "run_test", "simulate"]
+           "bode_figure", "compare", "compare_replay", "diagnose", "effect_class", "export_run", "import_run",
+           "list_runs", "load_effects", "load_rig", "load_run", "open_port", "quality", "run_test", "simulate"]
 
 
 def __getattr__(name: str) -> Any:

@@ -9,6 +9,7 @@ import typer
 
 from station.cli.options import Json, Out, Overwrite, RunFile, RunFiles, command, load_runs, need_outputs, rig_of
 from station.cli.terminal import console, number, one_line, row, say, table, write_json
+from station.cli.terminal import note as note_
 from station.errors import UsageError
 
 if TYPE_CHECKING:
@@ -65,14 +66,22 @@ def runs(
     until: Annotated[str | None, typer.Option("--until", metavar="DATE", help="Only up to this date.")] = None,
     tag: Annotated[str | None, typer.Option("--tag", metavar="TAG", help="Only with this tag.")] = None,
     plan: Annotated[str | None, typer.Option("--plan", metavar="NAME", help="Only of the plan of this name.")] = None,
+    html: Annotated[bool, typer.Option("--html", help=(
+        "Write the list as a page, FOLDER/index.html, with thumbnails, step measures and links."))] = False,
     json: Json = None, overwrite: Overwrite = False,
 ) -> None:
     """List the runs of a folder; a file that cannot be read is listed with the reason."""
     from station.runs import RunFilter, list_runs
 
-    need_outputs(json, overwrite=overwrite)
+    need_outputs(json, folder / "index.html" if html else None, overwrite=overwrite)
     wanted = RunFilter(rig, kind, controller, since, until, tag, plan)
     found = [item for item in list_runs(folder) if wanted.takes(item)]
+    if html:
+        from station.view.html import write_page
+        from station.view.runs import PAGE, runs_html
+
+        write_page(folder / PAGE, runs_html(folder, found))
+        note_(f"{folder / PAGE}: {len(found)} runs")
     if json:
         write_json(json, {"runs": [_listed(item) for item in found]})
         return
