@@ -157,9 +157,27 @@ def steps_figure(path: Path) -> None:
     figure.savefig(path)
 
 
+def mesh_errors(rig: Rig) -> None:
+    """Readings before rounding, against those of a mesh of 64 elements."""
+    rows = np.arange(1000)
+    t, zero = rows * rig.period, np.zeros(1000)
+    p = {"kind": "p", "gain": 2.0}
+    for name, reference, spec in (
+            ("pulse 60", np.where((rows >= 100) & (rows < 150), 60.0, 0.0), {"kind": "open"}),
+            ("P step 50", np.where(rows >= 100, 50.0, 0.0), p),
+            ("P sweep 30", np.where(rows >= 50, 30.0 * np.sin(2.0 * np.pi * 10.0 * t * t), 0.0), p)):
+        run = Run(name, t, reference, reference, zero, zero, RunMetadata(controller=spec, command_row=-1))
+        made = {n: simulate_model(build(with_elements(rig, n)), run, rounding=False) for n in (4, 8, 16, 64)}
+        for n in (4, 8, 16):
+            print(f"  {n} elements, {name}: encoder {np.abs(made[n].encoder - made[64].encoder).max():.4f}, "
+                  f"accelerometer {np.abs(made[n].accel - made[64].accel).max():.4f} counts")
+
+
 def numbers() -> None:
     """What the pages state."""
     rig = load_rig("sflr")
+    print("elements of simulations:", rig.meshed().beam.elements)
+    mesh_errors(rig)
     print("natural frequencies, Hz, transfer matrices:", continuous_frequencies(rig, 250.0).round(4))
     for n in (4, 10, 20, 200):
         print(f"  {n} elements:", natural_frequencies(with_elements(rig, n))[1:7].round(4))

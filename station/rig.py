@@ -12,12 +12,13 @@ import tomllib
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_serializer, field_validator, model_validator
 
+from station import markup
 from station.errors import UsageError
 from station.model.effects import Effect, effect_class
 
@@ -25,8 +26,11 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 MAX_FILE_BYTES = 1 << 20
-EXACT = frozenset({"amplifier.limit", "encoder.counts_per_revolution", "beam.elements"})
-"""Numbers of a rig that carry no uncertainty."""
+EXACT = frozenset({"amplifier.limit", "encoder.counts_per_revolution", "beam.elements", "beam.mesh"})
+"""Keys of a rig that carry no uncertainty."""
+MAX_ELEMENTS = 200
+MESH_ACCURACY = 0.0025
+"""Relative error of a bending wave's frequency on a refined mesh, at a quarter of the sample rate."""
 
 
 class _Table(BaseModel):
@@ -68,13 +72,17 @@ class Base(_Table):
 
 
 class Beam(_Table):
-    """mass_per_length kg/m, length m, flexural_rigidity N m^2, damping s (stiffness-proportional), elements."""
+    """mass_per_length kg/m, length m, flexural_rigidity N m^2, damping s (stiffness-proportional), elements.
+
+    ``elements`` is the least number where the mesh is ``refined`` (see ``Rig.meshed``), the number where ``as_stated``.
+    """
 
     mass_per_length: Positive
     length: Positive
     flexural_rigidity: Positive
     damping: NotNegative = 0.0
-    elements: Annotated[int, Field(ge=1, le=200)] = 4
+    elements: Annotated[int, Field(ge=1, le=MAX_ELEMENTS)] = 4
+    mesh: Literal["refined", "as_stated"] = "refined"
 
 
 class Tip(_Table):
@@ -234,6 +242,20 @@ class Rig(_Table):
             return self
         return self._copy({"beam": self.beam.model_copy(update={"elements": least})})
 
+    def meshed(self) -> Rig:
+        """A copy with the elements that simulations use: the rig file's, and more where its mesh may be refined.
+
+        A bending wave of angular frequency w has the wave number k = (w^2 m/EI)^(1/4); on cubic elements of length h
+        with consistent mass its frequency is too high by the share (k h)^4/1440.  So many elements that this is at most
+        MESH_ACCURACY at a quarter of the sample rate, the highest at which a sampled loop does much.
+        """
+        if self.beam is None or self.beam.mesh == "as_stated":
+            return self
+        frequency = 0.25 * 2.0 * math.pi * self.sample_rate
+        wave_number = (frequency**2 * self.beam.mass_per_length / self.beam.flexural_rigidity) ** 0.25
+        wanted = math.ceil(self.beam.length * wave_number / (1440.0 * MESH_ACCURACY) ** 0.25)
+        return self.with_elements(min(wanted, MAX_ELEMENTS))
+
     def _copy(self, update: dict[str, Any]) -> Rig:
         copy = self.model_copy(update=update)
         copy.__dict__.pop("angle_per_count", None)
@@ -257,6 +279,12 @@ class Rig(_Table):
             covariance[np.ix_(shared, shared)] += common**2
         return covariance
 
+    def _repr_html_(self) -> str:
+        rows = [(path, f"{value:.6g}", f"{100.0 * self.sigma(path):.3g} %") for path, value in self.constants().items()]
+        rows += [(f"{e.name} at {e.at}, {key}", f"{value:.6g}", "") for e in self.effects
+                 for key, value in e.values().items()]
+        return markup.table(("constant (SI)", "value", "sigma"), rows, f"{self.name}, {self.sample_rate:g} Hz")
+
     @classmethod
     def from_toml(cls, text: str, source: str = "rig") -> Rig:
         """Read a rig from TOML; UsageError names the file, the key's path and the reason."""
@@ -274,7 +302,7 @@ class Rig(_Table):
 
 
 def _first(error: ValidationError) -> str:
-    problem = error.errors()[0]
+    problem = min(error.errors(), key=lambda found: found["type"] != "extra_forbidden")  # the misspelt key itself
     path = ".".join(str(part) for part in problem["loc"])
     reason = {"extra_forbidden": "unknown key", "missing": "missing"}.get(problem["type"])
     if reason is None:

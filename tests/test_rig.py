@@ -28,6 +28,17 @@ def test_limits_are_optional_and_read_back():
     assert Rig.from_toml(rig.to_toml()) == rig
 
 
+def test_a_mesh_is_as_fine_as_its_accuracy_wants_never_coarser_than_the_file_and_left_where_the_file_insists():
+    rig = RIGS["sflr"]
+    assert rig.meshed().beam.elements == 8 and rig.meshed().meshed() == rig.meshed()
+    assert rig.with_elements(20).meshed().beam.elements == 20
+    stated = Rig.from_toml(rig.to_toml().replace('"refined"', '"as_stated"'))
+    assert stated.meshed().beam.elements == 4 and Rig.from_toml(stated.to_toml()) == stated
+    fast = rig.model_copy(update={"sample_rate": 16.0 * rig.sample_rate})
+    assert 29 <= fast.meshed().beam.elements <= 32       # four times the wave number
+    assert RIGS["axis"].meshed() is RIGS["axis"]
+
+
 @pytest.mark.parametrize(("line", "words"), [
     ("travel = -1.0", "limits.travel: .*greater than 0, not -1.0"), ("speed = 0.0", "limits.speed: .*greater than 0"),
     ("command = inf", "limits.command: "), ('travel = "far"', "limits.travel: "),

@@ -43,7 +43,7 @@ def planned(rig: Rig, factors: Sequence[float] | None = None) -> list[Run]:
 
 def suited(rig: Rig) -> list[str]:
     """Names of the tests whose compensators hold this rig; UsageError where they are too few to learn from."""
-    model, names = build(rig), []
+    model, names = build(rig.meshed()), []
     for run in planned(rig):
         encoder = simulate_model(model, run).encoder
         far = np.max(np.abs(encoder))
@@ -58,7 +58,7 @@ def suited(rig: Rig) -> list[str]:
 
 def measured(rig: Rig, test: Run, rng: np.random.Generator, offset: float, start_angle: float) -> Run:
     """A test on a rig, whole counts, with the accelerometer's noise and offset; its noise may not enter a loop."""
-    made = simulate_model(build(rig), test, rounding="inside", start_angle=start_angle, accel_offset=offset)
+    made = simulate_model(build(rig.meshed()), test, rounding="inside", start_angle=start_angle, accel_offset=offset)
     accel = made.accel
     if accel is not None:
         limit = min([effect.values()["limit"] for effect in rig.effects if effect.name == "accelerometer_saturation"],

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from station.cli.options import Json, command
+from station.cli.options import Json, Overwrite, command, need_outputs
 from station.cli.terminal import console, note, number, progress, row, say, table, write_json
 from station.errors import UsageError, WorkError
 
@@ -37,7 +37,7 @@ def campaign(
         "Key of that certificate (PEM), for tls://."))] = None,
     effort: Annotated[Literal["quick", "full"] | None, typer.Option("--effort", help=(
         "As in station diagnose; stands above what the plan says."))] = None,
-    json: Json = None,
+    json: Json = None, overwrite: Overwrite = False,
 ) -> None:
     """Diagnose many cases, each kept as it ends; after an interruption the same command goes on from there."""
     from station.campaign import cluster
@@ -54,6 +54,7 @@ def campaign(
             note(f"warning: {there.warning}")
     elif any((tls_ca, tls_cert, tls_key)):
         raise UsageError("--tls-ca, --tls-cert, --tls-key: of use with --scheduler tls://... alone")
+    need_outputs(json, overwrite=overwrite, inputs=[plan])
     tasks = load_tasks(plan, effort)
     try:
         out.mkdir(parents=True, exist_ok=True)

@@ -132,11 +132,11 @@ def _measure(nominal: Rig, hidden: Path, folder: Path, rng: np.random.Generator,
 
 def _gain(result: DiagnosisResult, apart: Run) -> RunComparison:
     """Say the errors on the run kept apart: by the nominal rig, the re-fitted one, the extended one."""
-    from station.cli.models import simulations
+    from station.diagnose.compare import compare
     from station.diagnose.measures import nrmse
     from station.diagnose.result import RunComparison
 
-    before, refit, after = (simulations(rig, [apart])[0]
+    before, refit, after = (compare(rig, [apart]).simulations[0]
                             for rig in (result.rig, result.refit_rig, result.extended_rig))
     shown = table("", f"   error on {apart.name}", "nominal", "re-fitted", "extended")
     for channel, name in (("encoder", "angle"), ("accel", "acceleration")):

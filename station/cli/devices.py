@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from station.cli.options import Baud, Json, Port, RigName, command
+from station.cli.options import Baud, Json, Overwrite, Port, RigName, command, need_outputs
 from station.cli.terminal import console, note, number, progress, row, say, table, write_json
 
 if TYPE_CHECKING:
@@ -19,11 +19,12 @@ PANEL = "Devices"
 
 
 @command(app, "ports", PANEL, "station ports")
-def ports(json: Json = None) -> None:
+def ports(json: Json = None, overwrite: Overwrite = False) -> None:
     """List the serial ports of this machine, and the simulated rigs."""
     from station.device.port import list_ports
     from station.rig import builtin_rigs
 
+    need_outputs(json, overwrite=overwrite)
     found = list_ports()
     simulated = [f"sim://{name}" for name in builtin_rigs()]
     if json:
@@ -47,13 +48,14 @@ def loopback(
     rate: Annotated[float | None, typer.Option("--rate", min=1.0, metavar="HZ", help=(
         "Samples per second; by default the most that the device offers."))] = None,
     seconds: Annotated[float, typer.Option("--seconds", min=0.1, max=3600.0, help="How long, s.")] = 2.0,
-    baud: Baud = None, json: Json = None,
+    baud: Baud = None, json: Json = None, overwrite: Overwrite = False,
 ) -> None:
     """Check a line and its device, the motor held at zero: identity, rate, losses, latency, and what to do."""
     from station.device.client import Client
     from station.device.port import open_port
     from station.loop.loopback import loopback as exchange
 
+    need_outputs(json, overwrite=overwrite)
     with open_port(port, baud) as line:
         found = exchange(line, rate, seconds)
         counters = Client(line).statistics()._asdict()
@@ -82,7 +84,7 @@ def loopback(
 def check(
     port: Port, rig: RigName,
     amplitude: Annotated[float, typer.Option("--amplitude", help="Size of the pulses, counts.")] = 20.0,
-    baud: Baud = None, json: Json = None,
+    baud: Baud = None, json: Json = None, overwrite: Overwrite = False,
 ) -> None:
     """Send small pulses either way; say whether motor, encoder and accelerometer work and which way they point."""
     from station.cli import raise_interrupt
@@ -90,6 +92,7 @@ def check(
     from station.loop.check import check as check_rig
     from station.rig import load_rig
 
+    need_outputs(json, overwrite=overwrite, inputs=[rig])
     model = load_rig(rig)
     raise_interrupt()
     with open_port(port, baud) as line, progress(f"check on {port}") as update:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from station.cli.options import Json, RigName, RunFiles, command, load_runs, need_folder
-from station.cli.terminal import console, progress, write_json, write_text
+from station.cli.options import Json, Overwrite, RigName, RunFiles, command, load_runs, need_outputs
+from station.cli.terminal import console, progress, say, write_json, write_text
 
 if TYPE_CHECKING:
     from station.diagnose.result import DiagnosisResult
@@ -28,14 +28,14 @@ def diagnose(
         "Write the extended rig, which is again a rig file."))] = None,
     effort: Annotated[Literal["quick", "full"], typer.Option("--effort", help=(
         "quick looks at fewer combinations."))] = "full",
+    overwrite: Overwrite = False,
 ) -> None:
     """Name what the simulation gets wrong on these runs, how sure that is, and what to test next."""
     from station.diagnose.diagnose import diagnose as find
     from station.rig import load_rig
     from station.view.terminal import print_diagnosis
 
-    for path in (json, report, save_rig):
-        need_folder(path)
+    need_outputs(json, report, save_rig, overwrite=overwrite, inputs=[rig, *runs])
     nominal = load_rig(rig)
     loaded = load_runs(runs)
     files = {run.name: path for run, path in zip(loaded, runs, strict=True)}
@@ -45,6 +45,8 @@ def diagnose(
     save(result, json=json, report=report, rig=save_rig)
     if json != "-":
         print_diagnosis(result, console(), rig)
+        if save_rig is not None and not result.diagnosis.causes:
+            say(f"{save_rig}: {nominal.name}, its constants re-fitted within their uncertainty; no effect was added")
 
 
 def with_files(result: DiagnosisResult, files: Mapping[str, Path]) -> DiagnosisResult:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from station.cli.options import Json, Out, Overwrite, RunFile, RunFiles, command, load_runs, need_folder, rig_of
+from station.cli.options import Json, Out, Overwrite, RunFile, RunFiles, command, load_runs, need_outputs, rig_of
 from station.cli.terminal import console, number, one_line, row, say, table, write_json
+from station.cli.terminal import note as note_
 from station.errors import UsageError
 
 if TYPE_CHECKING:
@@ -32,7 +33,7 @@ def import_(
     from station.rig import load_rig
     from station.runs import import_run
 
-    need_folder(out)
+    need_outputs(out, overwrite=overwrite, inputs=[run, rig])
     described = load_rig(rig).model_dump(exclude_none=True) if rig else None
     done = import_run(run, out, overwrite=overwrite, rig=described, zero_id=zero_id)
     say(_written(out, done, run))
@@ -43,7 +44,7 @@ def export(run: RunFile, out: Out, overwrite: Overwrite = False) -> None:
     """Write a run as .csv, .parquet, .mat, .rrd (Rerun) or .mcap."""
     from station.runs import export_run, load_run
 
-    need_folder(out)
+    need_outputs(out, overwrite=overwrite, inputs=[run])
     done = load_run(run)
     export_run(done, out, overwrite)
     say(_written(out, done, run))
@@ -65,13 +66,22 @@ def runs(
     until: Annotated[str | None, typer.Option("--until", metavar="DATE", help="Only up to this date.")] = None,
     tag: Annotated[str | None, typer.Option("--tag", metavar="TAG", help="Only with this tag.")] = None,
     plan: Annotated[str | None, typer.Option("--plan", metavar="NAME", help="Only of the plan of this name.")] = None,
-    json: Json = None,
+    html: Annotated[bool, typer.Option("--html", help=(
+        "Write the list as a page, FOLDER/index.html, with thumbnails, step measures and links."))] = False,
+    json: Json = None, overwrite: Overwrite = False,
 ) -> None:
     """List the runs of a folder; a file that cannot be read is listed with the reason."""
     from station.runs import RunFilter, list_runs
 
+    need_outputs(json, folder / "index.html" if html else None, overwrite=overwrite)
     wanted = RunFilter(rig, kind, controller, since, until, tag, plan)
     found = [item for item in list_runs(folder) if wanted.takes(item)]
+    if html:
+        from station.view.html import write_page
+        from station.view.runs import PAGE, runs_html
+
+        write_page(folder / PAGE, runs_html(folder, found))
+        note_(f"{folder / PAGE}: {len(found)} runs")
     if json:
         write_json(json, {"runs": [_listed(item) for item in found]})
         return
@@ -129,20 +139,18 @@ def trim(
     """Cut a run: the rows from one time to another, as a run of its own; the original stays as it is."""
     from station.runs import trim as cut
 
-    need_folder(out)
-    if out.exists() and run.exists() and out.samefile(run):
-        raise UsageError(f"--out {out}: is the run itself; name another file")
+    need_outputs(out, overwrite=overwrite, inputs=[run])
     done = cut(run, out, begin, end, overwrite=overwrite)
     say(_written(out, done, run))
 
 
 @command(app, "recover", PANEL, "station recover broken.mcap --out whole.mcap")
-def recover(run: RunFile, out: Out) -> None:
+def recover(run: RunFile, out: Out, overwrite: Overwrite = False) -> None:
     """Complete a log that was cut short into a copy that other programs open; the original stays as it is."""
     from station.runs import recover as rescue
 
-    need_folder(out)
-    found = rescue(run, out)
+    need_outputs(out, overwrite=overwrite, inputs=[run])
+    found = rescue(run, out, overwrite=overwrite)
     state = f"the log ends early ({found.cut_short})" if found.cut_short else "the log was complete"
     say(f"{out}: {found.rows} rows; {state}")
 
@@ -160,7 +168,7 @@ def replay(
         "Start from the logged reference after the accelerometer loop, where the log has it."))] = False,
     tolerance: Annotated[float, typer.Option("--tolerance", min=0.0, metavar="COUNTS", help=(
         "Difference that still counts as the same command."))] = 1e-3,
-    json: Json = None,
+    json: Json = None, overwrite: Overwrite = False,
 ) -> None:
     """Work out a run's commands again by its own compensator or another, and say where and why they are not the
     logged ones; with --model, how the simulated rig does the same test.
@@ -173,7 +181,7 @@ def replay(
 
     if save is not None and (model is None or save.suffix.lower() != ".rrd"):
         raise UsageError(f"--save {save}: a recording's name ends in .rrd, and --model says what is drawn beside a run")
-    need_folder(save)
+    need_outputs(save, json, overwrite=overwrite, inputs=[model, rig, controller, *run])
     results = []
     for path, item in zip(run, load_runs(run), strict=True):
         limit = load_rig(rig).command_limit if rig is not None else _command_limit(item, path)
@@ -206,22 +214,16 @@ def _command_limit(run: Run, path: Path) -> float:
 
 def _simulated(model: str, runs: list[Run], save: Path | None) -> list[dict[str, Any]]:
     """How a rig's simulation does the same tests; drawn beside the measured runs where that is asked for."""
-    from station.cli.models import simulations
     from station.cli.views import status_names
+    from station.diagnose.compare import compare
     from station.rig import load_rig
     from station.view.recording import write_recording
 
     rig = load_rig(model)
-    found = [_measures(run, simulation) for run, simulation in zip(runs, simulations(rig, runs), strict=True)]
+    found = compare(rig, runs).measures
     if save is not None:
         write_recording(save, runs, rig, status_names=status_names())
     return found
-
-
-def _measures(run: Run, simulation: Any) -> dict[str, Any]:
-    from station.diagnose.measures import measures
-
-    return measures(run, simulation)
 
 
 def _against(found: dict[str, Any]) -> str:

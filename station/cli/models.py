@@ -2,38 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from station.cli.options import Json, Out, Overwrite, RigName, RunFiles, command, load_runs, need_folder
+from station.cli.options import Json, Out, Overwrite, RigName, RunFiles, command, load_runs, need_outputs
 from station.cli.terminal import console, number, progress, row, say, table, write_json, write_text
 from station.errors import UsageError
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from station.model.simulate import Simulation
-    from station.rig import Rig
-    from station.runs.run import Run
 
 app = typer.Typer()
 PANEL = "Model and diagnosis"
-
-
-def simulated_run(rig: Rig, run: Run, name: str) -> Run:
-    """The test of a run, as the rig would have done it."""
-    from station.model.simulate import simulate
-
-    made = simulate(rig, run, accel_offset=run.metadata.accel_zero)
-    metadata = run.metadata.model_copy(update={
-        "rig": rig.model_dump(exclude_none=True), "firmware": None, "session": None, "zero_id": None,
-        "simulated": True})
-    return replace(run.slice(0), name=name, metadata=metadata, reference=made.reference, command=made.command,
-                   encoder=made.encoder, accel=made.accel, n=None, device_time=None, host_time=None, status=None,
-                   command_sent=None, latency=None, slack=None, extra={})
 
 
 @command(app, "simulate", PANEL, "station simulate --rig sflr --like step.mcap --out simulated.csv")
@@ -41,45 +25,32 @@ def simulate(rig: RigName, like: Annotated[Path, typer.Option("--like", metavar=
                  "Run whose reference, controller and length are taken."))],
              out: Out, overwrite: Overwrite = False) -> None:
     """Do the test of a logged run on a rig's model, and write what comes out as a run."""
+    from station.api import simulate as simulated
     from station.rig import load_rig
     from station.runs import export_run, load_run
 
     model = load_rig(rig)
     run = load_run(like)
-    run.require_unbroken()
-    need_folder(out)
-    made = simulated_run(model, run, out.stem)
+    need_outputs(out, overwrite=overwrite, inputs=[like, rig])
+    made = simulated(model, run, name=out.stem)
     export_run(made, out, overwrite=overwrite)
     say(f"{out}: {len(made)} rows, the test of {like} on {model.name}")
 
 
 @command(app, "compare", PANEL, "station compare --rig sflr step.mcap pulse.mcap")
-def compare(runs: RunFiles, rig: RigName, json: Json = None) -> None:
+def compare(runs: RunFiles, rig: RigName, json: Json = None, overwrite: Overwrite = False) -> None:
     """Simulate the tests of runs on a rig, and measure how far simulation and measurement are apart."""
-    from station.diagnose.measures import measures
+    from station.diagnose.compare import compare as against
     from station.rig import load_rig
 
-    need_folder(json)
-    model, loaded = load_rig(rig), load_runs(runs)
-    found = [measures(run, made) for run, made in zip(loaded, simulations(model, loaded), strict=True)]
+    need_outputs(json, overwrite=overwrite, inputs=[rig, *runs])
+    model = load_rig(rig)
+    found = against(model, load_runs(runs)).measures
     if json:
         write_json(json, {"runs": found})
         if json == "-":
             return
     console().print(comparison_table(model.name, found))
-
-
-def simulations(rig: Rig, runs: list[Run]) -> list[Simulation]:
-    """The runs as the rig would have done them, starting angle and accelerometer offset estimated per run."""
-    import numpy as np
-
-    from station.diagnose.validation import simulate_runs
-    from station.estimation.dataset import dataset
-    from station.estimation.parameters import Hypothesis, parameters
-
-    data = dataset(rig, runs)
-    space = parameters(data, Hypothesis(), {})
-    return simulate_runs(data, space, np.zeros(space.size), data.start, data.offset)
 
 
 def comparison_table(rig: str, found: list[dict[str, Any]]) -> Table:
@@ -108,14 +79,13 @@ def fit(
     domain: Annotated[Literal["time", "frequency", "both"], typer.Option("--domain", help=(
         "Compare simulations with the runs, or frequency responses with the model's."))] = "time",
     starts: Annotated[int, typer.Option("--starts", min=1, max=100, help="Starting points of the search.")] = 4,
-    json: Json = None,
+    json: Json = None, overwrite: Overwrite = False,
 ) -> None:
     """Fit a rig's constants to runs within their stated uncertainty, and say what the runs cannot determine."""
     from station.fit import fit as fit_rig
     from station.rig import load_rig
 
-    for path in (save_rig, json):
-        need_folder(path)
+    need_outputs(save_rig, json, overwrite=overwrite, inputs=[rig, *runs])
     model, loaded = load_rig(rig), load_runs(runs)
     with progress("fitting") as update:
         found = fit_rig(model, loaded, hold, domain=domain, starts=starts, progress=lambda text: update(None, text))
@@ -136,13 +106,14 @@ def bode(
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Figure to write: .png, .svg or .pdf.")],
     run: Annotated[Path | None, typer.Option("--run", metavar="RUN", help=(
         "Run whose measured response and coherence are drawn as well; a sweep is best."))] = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Draw the frequency responses of a rig: finite elements, continuous beam, and a run's if one is given."""
     from station.rig import load_rig
     from station.runs import load_run
     from station.view.bode import bode_figure
 
-    need_folder(out)
+    need_outputs(out, overwrite=overwrite, inputs=[rig, run])
     if out.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise UsageError(f"--out {out}: a figure's name ends in .png, .svg or .pdf")
     bode_figure(load_rig(rig), None if run is None else load_run(run)).savefig(out)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from station.cli.terminal import note
 from station.errors import UsageError, WorkError
 
 if TYPE_CHECKING:
@@ -46,8 +47,14 @@ def load_runs(paths: list[Path]) -> list[Run]:
     for path in paths:
         run = load_run(path)
         if run.name in seen:
-            raise UsageError(f"{path}: another run is named {run.name} too ({seen[run.name]}); rename one of them")
+            raise UsageError(f"{path}: another run is named {run.name} too ({seen[run.name]}); results are told apart "
+                             "by the files' names, so copy or rename one of them")
         seen[run.name] = path
+        early = run.metadata.entries().get("cut_short")
+        if early:
+            note(f"{path}: the log ends early ({early}); the {len(run)} rows that it has are used")
+        if run.lost_samples:
+            note(f"{path}: {run.lost_samples} samples are missing; simulations run on through the gaps")
         runs.append(run)
     return runs
 
@@ -77,3 +84,26 @@ def need_folder(path: Path | str | None) -> None:
         raise WorkError(f"{path}: the folder {path.parent} does not exist")
     if path.is_dir():
         raise WorkError(f"{path}: is a folder; name a file")
+
+
+def need_outputs(*outputs: Path | str | None, overwrite: bool, inputs: Iterable[Path | str | None] = ()) -> None:
+    """Refuse outputs before any work is done: without a folder, in the way of a file (``overwrite`` lets it be
+    replaced), two of one name, or an input, which is never written to.
+    """
+    wanted = [Path(path) for path in outputs if path is not None and str(path) != "-"]
+    sources = [Path(path) for path in inputs if path is not None]
+    for index, path in enumerate(wanted):
+        need_folder(path)
+        if any(_same(path, source) for source in sources):
+            raise UsageError(f"{path}: is an input of this command; name another file for what it writes")
+        if any(_same(path, other) for other in wanted[:index]):
+            raise UsageError(f"{path}: named for two outputs")
+        if path.exists() and not overwrite:
+            raise WorkError(f"{path}: exists already; --overwrite replaces it")
+
+
+def _same(one: Path, other: Path) -> bool:
+    try:
+        return one.samefile(other)
+    except OSError:
+        return one.absolute() == other.absolute()

@@ -12,6 +12,7 @@ import typer
 
 from station.cli.options import Baud, Force, Overwrite, Port, RigName, RunFile, command, need_folder
 from station.cli.terminal import note, number, progress, say
+from station.control.named import OPEN
 from station.errors import StationError, UsageError
 
 if TYPE_CHECKING:
@@ -28,8 +29,6 @@ app = typer.Typer()
 group = typer.Typer(no_args_is_help=False)
 PANEL = "Devices"
 
-OPEN = frozenset({"pulse", "pulse_train"})
-"""Kinds that run open loop where no controller is asked for; the others run under P control."""
 KINDS: dict[str, tuple[str, dict[str, Any]]] = {
     "step": ("A step of the reference after a rest.", {"amplitude": 100.0, "duration": 2.0, "rest": 0.2}),
     "pulse": ("A pulse up and a pulse down; by default commands, open loop.",

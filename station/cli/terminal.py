@@ -84,8 +84,11 @@ def write_json(target: str | Path, content: Any) -> None:
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a file that the user named; its folder must exist."""
-    Path(path).write_text(text, encoding="utf-8", newline="\n")
+    """Write a file that the user named, whole or not at all; its folder must exist."""
+    from station.runs.files import new_file
+
+    with new_file(path, overwrite=True) as part:
+        part.write_text(text, encoding="utf-8", newline="\n")
 
 
 @contextmanager

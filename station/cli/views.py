@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from station.cli.options import RunFiles, command, load_runs, need_folder, rig_of
+from station.cli.options import Overwrite, RunFiles, command, load_runs, need_outputs, rig_of
 from station.cli.terminal import say
 from station.errors import UsageError
 
@@ -31,6 +31,7 @@ def view(
     save: Annotated[Path | None, typer.Option("--save", metavar="FILE", help=(
         "Write a Rerun recording (.rrd) instead of opening the viewer."))] = None,
     web: Annotated[bool, typer.Option("--web", help="Open in the browser, served on 127.0.0.1 alone.")] = False,
+    overwrite: Overwrite = False,
 ) -> None:
     """Draw runs in Rerun: reference, command, angle, acceleration, and the arm moving."""
     from station.rig import load_rig
@@ -39,7 +40,7 @@ def view(
 
     if save is not None and save.suffix.lower() != ".rrd":
         raise UsageError(f"--save {save}: a recording's name ends in .rrd")
-    need_folder(save)
+    need_outputs(save, overwrite=overwrite, inputs=[rig, *runs])
     loaded = load_runs(runs)
     model = load_rig(rig) if rig is not None else rig_of(loaded[0], runs[0])
     if save is not None:

@@ -8,6 +8,8 @@ from typing import Any
 SAMPLED_AT = 500.0
 """Rate (Hz) at which the accelerometer's compensator is sampled."""
 _LEAD = {"gain": 20.0, "zero": 10.0 * math.pi, "pole": 40.0 * math.pi}
+OPEN = frozenset({"pulse", "pulse_train"})
+"""Kinds of tests that run open loop where no controller is asked for; the others run under P control."""
 NAMED: dict[str, dict[str, Any]] = {
     "open": {"kind": "open"},
     "p": {"kind": "p", "gain": 2.0},

@@ -40,7 +40,7 @@ from station.diagnose.validation import (
 )
 from station.diagnose.verdict import Stated, stated, verdict
 from station.errors import UsageError, WorkError
-from station.estimation.dataset import ELEMENTS, canonical_order, dataset
+from station.estimation.dataset import canonical_order, dataset
 from station.estimation.least_squares import Fit
 from station.estimation.observer import observers
 from station.estimation.parameters import Causes, Key
@@ -147,18 +147,15 @@ def _in_order(search: Selection, best: Causes, found: Odds) -> list[Key]:
 
 
 def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice] | None]:
-    """The runs, checked; a run that is alone is judged half by half."""
+    """The runs, checked, their gaps filled; a run that is alone is judged half by half."""
     if not runs:
         raise UsageError("diagnose: at least one run is wanted")
     for run in runs:
-        if abs(run.sample_rate / rig.sample_rate - 1.0) > 0.01:
-            raise WorkError(f"{run.name}: sampled at {run.sample_rate:.6g} Hz, the rig at {rig.sample_rate:.6g} Hz")
-        if hasattr(run, "require_unbroken"):
-            run.require_unbroken()
         if rig.accelerometer is not None and run.accel is None:
             raise WorkError(f"{run.name}: no accelerometer column, but rig {rig.name} has an accelerometer")
+    runs = [run.filled() for run in runs]
     if len(runs) > 1:
-        return list(runs), None
+        return runs, None
     half = len(runs[0].t) // 2
     return ([replace(runs[0], name=f"{runs[0].name} ({part} half)") for part in ("first", "second")],
             [slice(0, half), slice(half, None)])
@@ -221,11 +218,11 @@ def _disturbance(predictor: Predictor, rigs: Sequence[Rig]) -> Disturbance:
     data, observer = predictor.data, predictor.observers[0]
 
     def share(rig: Rig) -> float:
-        model, missing, command = build(rig.with_elements(ELEMENTS), *SEARCH[:2]), 0.0, 0.0
+        model, missing, command = build(rig.meshed(), *SEARCH[:2]), 0.0, 0.0
         for r, run in enumerate(data.runs):
             torque = predict(model, observer, data.measured[r], np.ascontiguousarray(run.command, dtype=float),
                              start_angle=angle_that_reads(model.rig, data.start[r], 0.0), offset=data.offset[r],
-                             equilibrium=run.metadata.start == "equilibrium")[1]
+                             equilibrium=run.metadata.start == "equilibrium", logged=data.logged[r])[1]
             missing, command = missing + float(torque @ torque), command + float(run.command @ run.command)
         return float(np.sqrt(missing / max(command, 1e-300)))
     nominal, refitted, extended = predictor.pool.map(share, rigs)

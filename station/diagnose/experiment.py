@@ -31,7 +31,6 @@ from station.diagnose.odds import Odds
 from station.diagnose.result import NextExperiment, Prediction, Verdict
 from station.diagnose.selection import Selection
 from station.diagnose.trials import Trial, most, trials
-from station.estimation.dataset import ELEMENTS
 from station.estimation.least_squares import Fit
 from station.estimation.likelihood import NUISANCES
 from station.estimation.noise import ACCEL_DEFAULT, QUANTISATION, correlation_time, rounding_shares
@@ -448,7 +447,7 @@ def choose(search: Selection, odds: Odds, verdict: Verdict) -> Choice:
 def first_test(rig: Rig) -> Choice:
     """The first test of a rig that nothing is known of but its file: the one that makes most of the catalogue visible
     and behaves wherever the stated uncertainty may put the rig."""
-    rig = rig.with_elements(ELEMENTS)
+    rig = rig.meshed()
     paths = list(rig.constants())
     nominal = np.array([rig.constants()[path] for path in paths])
     root = np.linalg.cholesky(rig.log_covariance(paths))

@@ -61,10 +61,12 @@ def step_measures(run: Run, encoder: np.ndarray) -> dict[str, float | None]:
 
 
 def measures(run: Run, simulation: Simulation) -> dict[str, object]:
-    """One run against one simulation, as ``compare --json`` writes it."""
-    found: dict[str, object] = {"run": run.name, "encoder": {"nrmse": nrmse(run.encoder, simulation.encoder)}}
+    """One run against one simulation, as ``compare --json`` writes it; a filled run's lost rows do not count."""
+    rows = run.logged
+    found: dict[str, object] = {"run": run.name,
+                                "encoder": {"nrmse": nrmse(run.encoder[rows], simulation.encoder[rows])}}
     if run.accel is not None and simulation.accel is not None:
-        found["accel"] = {"nrmse": nrmse(run.accel, simulation.accel)}
+        found["accel"] = {"nrmse": nrmse(run.accel[rows], simulation.accel[rows])}
     found["measured"] = step_measures(run, run.encoder)
     found["simulated"] = step_measures(run, simulation.encoder)
     return found

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from station import __version__
+from station import __version__, markup
 from station.model.simulate import Simulation
 from station.rig import Rig
 from station.runs.run import Run
@@ -221,3 +221,14 @@ class DiagnosisResult:
     """What the leading rivals say of it."""
     equivalences: list[str] = field(default_factory=list)
     """What is known to be the same as the causes named, in sentences."""
+
+    def _repr_html_(self) -> str:
+        found = self.diagnosis
+        causes = [(f"{c.effect} {c.at}".strip(), f"{c.probability:.2f}", key,
+                   f"{e.value:.4g} ({e.low:.4g} to {e.high:.4g}) {e.unit}")
+                  for c in found.causes for key, e in c.parameters.items()]
+        gains = [(channel, f"{g.nrmse_before:.3f}", f"{g.nrmse_after:.3f}")
+                 for channel, g in (("encoder", found.gain.encoder), ("accel", found.gain.accel)) if g is not None]
+        return (markup.table(("cause", "probability", "parameter", "value (95 %)"), causes,
+                             f"{found.rig}: {found.verdict.replace('_', ' ')}")
+                + markup.table(("nrmse on unseen runs", "before", "after"), gains))

@@ -38,7 +38,7 @@ def whole_run(data: Dataset, model: Model, run: int, start: float, offset: float
     observer, = observers(data.rig, data.noise[0], (UNKNOWN_AHEAD,))
     found = predict(model, observer, data.measured[run], np.ascontiguousarray(this.command, dtype=float),
                     start_angle=angle, offset=offset, zero=zero, gap_place=place,
-                    equilibrium=this.metadata.start == "equilibrium")[0]
+                    equilibrium=this.metadata.start == "equilibrium", logged=data.logged[run])[0]
     if rounding:
         found = np.floor(found + 0.5)
     return Simulation(this.t, this.reference, this.command, found[0], found[1] if data.has_accel else None)
@@ -125,7 +125,7 @@ def predicted_ahead(predictor: Predictor, fits: Sequence[Fit] | Fit, nominal: bo
             made, _ = predict(model, observer, data.measured[r], np.ascontiguousarray(run.command, dtype=float),
                               start_angle=angle_that_reads(model.rig, left.start[r], zero), offset=left.offset[r],
                               zero=zero, gap_place=left.space.place(x, r),
-                              equilibrium=run.metadata.start == "equilibrium")
+                              equilibrium=run.metadata.start == "equilibrium", logged=data.logged[r])
             found[f"{seconds:g} s"] = nrmse(run.encoder[rows], made[0][rows])
         return found
     return list(predictor.pool.map(one, range(len(data.runs))))

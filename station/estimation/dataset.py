@@ -9,12 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from station.errors import WorkError
 from station.estimation.noise import QUANTISATION, noise_sigmas, rest_rows, rounding_shares
 from station.rig import Rig
 from station.runs.run import Run
 
-ELEMENTS = 8
-"""Fewest beam elements of the fits: with fewer the mesh's own error would look like physics."""
+RATES = 0.01
+"""Largest share by which a run's sample rate may differ from the rig's."""
 SEGMENT = 1.0
 """Length of the stretches that are drawn again when data are resampled, s: longer than an arm's errors remember."""
 SEGMENTS = 40
@@ -31,8 +32,10 @@ class Dataset:
 
     rig: Rig
     runs: tuple[Run, ...]
-    windows: tuple[slice, ...]
+    windows: tuple[np.ndarray, ...]
     """The rows of each run that count."""
+    logged: tuple[np.ndarray, ...]
+    """Per run (n): whether a row was logged; lost ones are simulated through and neither count nor correct."""
     measured: tuple[np.ndarray, ...]
     """Per run (2, n), counts; the second row is 0 where there is no accelerometer."""
     share: tuple[np.ndarray, ...]
@@ -81,8 +84,16 @@ def canonical_order(runs: Sequence[Run]) -> list[int]:
 
 
 def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = None) -> Dataset:
-    """Prepare runs; ``windows``: the rows of each run that count (all of them by default)."""
-    kept = tuple(windows) if windows is not None else (slice(None),) * len(runs)
+    """Prepare runs, their gaps filled; ``windows``: the rows of each run that count (by default all that were logged).
+
+    WorkError: a run's rate is not the rig's.
+    """
+    for run in runs:
+        if abs(run.sample_rate / rig.sample_rate - 1.0) > RATES:
+            raise WorkError(f"{run.name}: sampled at {run.sample_rate:.6g} Hz, the rig at {rig.sample_rate:.6g} Hz")
+    runs = [run.filled() for run in runs]
+    logged = tuple(run.logged for run in runs)
+    kept = logged if windows is None else tuple(_within(w, rows) for w, rows in zip(windows, logged, strict=True))
     encoder, accel, rows = noise_sigmas(list(runs))
     has_accel = rig.accelerometer is not None and all(r.accel is not None for r in runs)
     groups = list(dict.fromkeys(zero_ids := [r.metadata.zero_id or f"own {i}" for i, r in enumerate(runs)]))
@@ -95,7 +106,7 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
         segment.append(len(owner) + np.arange(len(run.t)) * count // len(run.t))
         owner += [i] * count
     return Dataset(
-        rig.with_elements(ELEMENTS), tuple(runs), kept,
+        rig.meshed(), tuple(runs), kept, logged,
         tuple(np.stack([r.encoder, r.accel if has_accel else np.zeros_like(r.encoder)]).astype(float) for r in runs),
         tuple(_shares(r, w, encoder, 2 if has_accel else 1) for r, w in zip(runs, kept, strict=True)),
         (encoder, accel), rows,
@@ -113,16 +124,20 @@ def beginning(data: Dataset, seconds: float) -> Dataset:
     return replace(data, share=tuple(shares))
 
 
-def _shares(run: Run, window: slice, noise: float, channels: int) -> np.ndarray:
+def _within(window: slice, logged: np.ndarray) -> np.ndarray:
+    rows = np.zeros_like(logged)
+    rows[window] = logged[window]
+    return rows
+
+
+def _shares(run: Run, window: np.ndarray, noise: float, channels: int) -> np.ndarray:
     """Independent errors per sample (channels, n).
 
     While the encoder stands still its rounding error stands still too, so that many samples say no more than one.
     """
     rounded = np.ones_like(run.encoder) if noise > UNROUNDED else rounding_shares(run.encoder)
     share = np.stack([rounded, np.ones_like(rounded)])[:channels]
-    counts = np.zeros(len(rounded))
-    counts[window] = 1.0
-    return share * counts
+    return share * window
 
 
 def clock_evidence(runs: Sequence[Run]) -> tuple[float, float] | None:

@@ -35,7 +35,8 @@ SPAN = math.pi
 
 
 @kernel()
-def _predict(plan, state, gain, torque_gain, decay, span, offset, command, measured, predicted, disturbance, work):
+def _predict(plan, state, gain, torque_gain, decay, span, offset, command, measured, logged, predicted, disturbance,
+             work):
     begin(plan, state)
     d, plain = 0.0, is_plain(plan)
     for row in range(command.size):
@@ -44,7 +45,9 @@ def _predict(plan, state, gain, torque_gain, decay, span, offset, command, measu
         else:
             predicted[0, row], predicted[1, row] = sense(plan, state, offset, False)
         if torque_gain != 0.0:
-            error = min(max(measured[0, row] - predicted[0, row], -span), span)
+            error = 0.0
+            if logged[row]:
+                error = min(max(measured[0, row] - predicted[0, row], -span), span)
             for i in range(state.z.size):
                 state.z[i] += gain[i] * error
             d = decay * (d + torque_gain * error)
@@ -57,15 +60,17 @@ def _predict(plan, state, gain, torque_gain, decay, span, offset, command, measu
 
 def predict(model: Model, observer: Observer, measured: np.ndarray, command: np.ndarray, *, start_angle: float,
             offset: float, zero: float = 0.0, gap_place: float = 0.0, equilibrium: bool = False,
-            ) -> tuple[np.ndarray, np.ndarray]:
+            logged: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """One run: predicted channels (2, n), counts, unrounded, and the observer's torque (n), counts of command.
 
-    ``measured`` (2, n) counts, ``command`` (n) counts as logged; angles in rad.
+    ``measured`` (2, n) counts, ``command`` (n) counts as logged; angles in rad.  Where ``logged`` (n) is False nothing
+    was read, and the observer runs on with its torque.
     """
     state = initial_state(model, start_angle, zero, equilibrium=equilibrium, gap_place=gap_place)
     predicted, disturbance = np.zeros(measured.shape), np.zeros(len(command))
     _predict(model.plan, state, model.form.inverse @ observer.state, observer.torque, observer.decay,
-             SPAN / model.rig.angle_per_count, offset, command, measured, predicted, disturbance,
+             SPAN / model.rig.angle_per_count, offset, command, measured,
+             np.ones(len(command), dtype=bool) if logged is None else logged, predicted, disturbance,
              np.zeros((4, max(model.plan.port_joint.size, 1))))
     return predicted, disturbance
 
@@ -100,7 +105,8 @@ class Predictor:
         meta, zero = data.runs[run].metadata, space.zero(x, data.zero_group[run])
         found = [predict(model, observer, data.measured[run], np.ascontiguousarray(data.runs[run].command, dtype=float),
                          start_angle=angle_that_reads(model.rig, start, zero), offset=offset, zero=zero,
-                         gap_place=space.place(x, run), equilibrium=meta.start == "equilibrium")[0]
+                         gap_place=space.place(x, run), equilibrium=meta.start == "equilibrium",
+                         logged=data.logged[run])[0]
                  for observer in self.observers]
         return np.stack([y[0] for y in found] + [found[len(found) // 2][1]] * (data.channels - 1))
 

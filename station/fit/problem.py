@@ -50,10 +50,11 @@ class Problem:
     """Runs, what of them is compared, and the constants that are sought."""
 
     def __init__(self, rig: Rig, runs: Sequence[Run], paths: list[str], domain: str) -> None:
-        self.rig, self.paths = rig, paths
+        self.rig, self.paths = rig.meshed(), paths
         self.root = np.linalg.cholesky(rig.log_covariance(paths))
-        self.runs = list(runs) if domain in ("time", "both") else []
-        sigma = noise_sigmas(list(runs))
+        runs = [run.filled() for run in runs]
+        self.runs = runs if domain in ("time", "both") else []
+        sigma = noise_sigmas(runs)
         self.scale = [1.0 / np.sqrt(s**2 + QUANTISATION) for s in sigma]
         self.has_accel = [run.accel is not None and rig.accelerometer is not None for run in self.runs]
         self.spectra = [s for run in runs for s in _spectra(rig, run)] if domain in ("frequency", "both") else []
@@ -132,7 +133,7 @@ class Problem:
             moved[at] += ANGLE_STEP
             out[rows, at] = (self._time(model, r, moved) - self._time(model, r, x)) / ANGLE_STEP
             if self.has_accel[r]:
-                out[rows.start + len(self.runs[r].t):rows.stop, at + 1] = -self.scale[1]
+                out[rows.start + len(self.runs[r].t):rows.stop, at + 1] = -self.scale[1] * self.runs[r].logged
 
         tasks = [(constant, k) for k in range(count)] + [(angle, r) for r in range(len(self.runs))]
         list(self._pool.map(lambda task: task[0](task[1]), tasks))
@@ -159,10 +160,10 @@ class Problem:
         run, at = self.runs[r], len(self.paths) + 2 * r
         made = simulate_model(model, run, rounding=rounding, start_angle=x[at] * self.rig.angle_per_count,
                               accel_offset=x[at + 1])
-        encoder = (run.encoder - made.encoder) * self.scale[0]
+        encoder = (run.encoder - made.encoder) * self.scale[0] * run.logged
         if not self.has_accel[r]:
             return encoder
-        return np.concatenate([encoder, (run.accel - made.accel) * self.scale[1]])
+        return np.concatenate([encoder, (run.accel - made.accel) * self.scale[1] * run.logged])
 
 
 def _spectra(rig: Rig, run: Run) -> list[Spectrum]:

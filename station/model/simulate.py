@@ -360,11 +360,11 @@ def simulate(rig: Rig, run: Run, *, rounding: bool = True, start_angle: float | 
     A closed loop runs from the run's reference with its own compensator on the model's own outputs, an open loop and
     one whose controller is not known from the run's command.  ``start_angle`` (rad) defaults to the run's first encoder
     reading, ``accel_offset`` is in counts, ``zero`` the absolute angle of encoder count 0.  Without ``rounding``
-    outputs stay real numbers.
+    outputs stay real numbers.  The beam is meshed as ``Rig.meshed`` says.
     """
     if start_angle is None:
         start_angle = float(run.encoder[0]) * rig.angle_per_count
-    return simulate_model(build(rig), run, rounding=rounding, start_angle=start_angle, zero=zero,
+    return simulate_model(build(rig.meshed()), run, rounding=rounding, start_angle=start_angle, zero=zero,
                           accel_offset=accel_offset, gap_place=gap_place, states=states)
 
 
@@ -372,7 +372,7 @@ class Plant:
     """A rig one tick at a time: read the sensors, then hold a command to the next tick."""
 
     def __init__(self, rig: Rig, start_angle: float = 0.0, accel_offset: float = 0.0) -> None:
-        self.model = build(rig)
+        self.model = build(rig.meshed())
         self._state = initial_state(self.model, start_angle)
         self._offset = accel_offset
         self._work = np.zeros((4, max(self.model.plan.port_joint.size, 1)))

@@ -11,10 +11,15 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from station import markup
 from station.errors import WorkError
 from station.runs.columns import COLUMNS, as_columns
 
 MAX_METADATA_BYTES = 1 << 20
+LOST = "lost"
+"""Extra column of a filled run: 1 where the log has no such row."""
+BETWEEN = frozenset({"t", "encoder", "accel", "device_time", "host_time"})
+"""Columns of which a lost row lies between its neighbours; the others keep what was logged last."""
 
 
 class RunMetadata(BaseModel):
@@ -184,6 +189,44 @@ class Run:
             row = int(np.argmax(np.diff(self.n) > 1)) + 1
             raise WorkError(f"{self.name}: {self.lost_samples} samples lost, the first before row {row}; "
                             f"use the rows before it (Run.slice(0, {row}))")
+
+    def _repr_html_(self) -> str:
+        known = self.metadata
+        head = markup.table(("run", "test", "controller", "rows", "Hz", "lost"), [
+            (self.name, known.test.get("kind", "-"), known.controller.get("kind", "-"), len(self),
+             f"{self.sample_rate:g}", self.lost_samples)])
+        angle = {"encoder": self.encoder} if self.open_loop else {"reference": self.reference, "encoder": self.encoder}
+        plots = [markup.legend(angle), markup.plot(self.t, angle, f"{self.name}, counts")]
+        if self.accel is not None:
+            plots += [markup.legend(["accelerometer"]),
+                      markup.plot(self.t, {"accelerometer": self.accel}, f"{self.name}, counts")]
+        return head + "".join(f"<div>{part}</div>" for part in plots)
+
+    @property
+    def logged(self) -> np.ndarray:
+        """(n) whether each row was logged; False where ``filled`` put it in."""
+        lost = self.extra.get(LOST)
+        return np.ones(len(self), dtype=bool) if lost is None else lost == 0.0
+
+    def filled(self) -> Run:
+        """The run with a row for every tick: lost ones have the command and reference last logged, readings and
+        times on a straight line between their neighbours, and a 1 in the extra column ``lost``.
+
+        A run without gaps is itself.  WorkError where more ticks are lost than logged.
+        """
+        if not self.lost_samples:
+            return self
+        if self.lost_samples > len(self):
+            raise WorkError(f"{self.name}: {self.lost_samples} samples lost and {len(self)} logged; too little is left")
+        ticks = np.arange(int(self.n[0]), int(self.n[-1]) + 1)
+        last = np.searchsorted(self.n, ticks, side="right") - 1
+        found = {name: np.interp(ticks, self.n, values) if name in BETWEEN else values[last]
+                 for name, values in self.columns().items()}
+        lost = self.n[last] != ticks
+        for column in COLUMNS:
+            if column.gaps and column.name in found:
+                found[column.name] = np.where(lost, np.nan, found[column.name])
+        return Run.from_columns(self.name, self.name, found | {"n": ticks, LOST: lost.astype(float)}, self.metadata)
 
     def slice(self, start: int, stop: int | None = None) -> Run:
         """The rows from start up to stop, time kept as it was; the metadata stays."""

@@ -96,6 +96,10 @@ def load_run(path: str | os.PathLike[str]) -> Run:
     return READERS[_form(path)](path)
 
 
+MOST_COUNTS = 1e8
+"""Largest reading of an encoder that is imported: a hundred turns of a million counts."""
+
+
 def export_run(run: Run, path: str | os.PathLike[str], overwrite: bool = False) -> None:
     """Write a run in the form that the suffix names; WorkError where a file is in the way."""
     path = Path(path)
@@ -107,8 +111,15 @@ def export_run(run: Run, path: str | os.PathLike[str], overwrite: bool = False) 
 
 def import_run(source: str | os.PathLike[str], out: str | os.PathLike[str], *, overwrite: bool = False,
                **known: Any) -> Run:
-    """Read a run and write it anew (``.mcap`` as a rule); ``known`` sets metadata the source does not hold."""
+    """Read a run and write it anew (``.mcap`` as a rule); ``known`` sets metadata the source does not hold.
+
+    WorkError as ``load_run``, and where the encoder reads what no encoder counts to.
+    """
     run = load_run(source)
+    far = np.abs(run.encoder) > MOST_COUNTS
+    if far.any():
+        row = int(np.argmax(far))
+        raise WorkError(f"{source}: column encoder, row {row}: {run.encoder[row]:g} counts; no arm turns so far")
     entries = run.metadata.entries() | {key: value for key, value in known.items() if value is not None}
     imported = Run.from_columns(str(source), Path(out).stem, run.columns(),
                                 RunMetadata.from_entries(str(source), entries))
@@ -151,17 +162,17 @@ class Recovery:
     cut_short: str | None
 
 
-def recover(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Recovery:
+def recover(path: str | os.PathLike[str], out: str | os.PathLike[str], overwrite: bool = False) -> Recovery:
     """Complete a log that was cut short, or damaged, into a copy that other programs open; the original stays.
 
-    Raises WorkError where nothing can be read, or ``out`` exists.
+    Raises WorkError where nothing can be read, or ``out`` exists and is not to be replaced.
     """
-    path, out = check_input(path), check_output(out)
+    path, out = check_input(path), check_output(out, overwrite)
     contents = scan_mcap(path, salvage=True)
     metadata = contents.metadata
     if contents.cut_short:
         metadata = metadata.model_copy(update={"recovered": contents.cut_short})
-    write_mcap(Run.from_columns(str(path), out.stem, contents.columns, metadata), out)
+    write_mcap(Run.from_columns(str(path), out.stem, contents.columns, metadata), out, overwrite)
     return Recovery(len(contents.columns["t"]), contents.cut_short)
 
 

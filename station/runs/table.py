@@ -39,6 +39,9 @@ def read_table(path: Path, delimiter: str, names_in_header: bool) -> Table:
             comments, names_line, number = _header(path, file)
             names = (comments[-1][1] if names_in_header and comments else names_line or "").split(delimiter)
             names = [name.strip() for name in names]
+            if delimiter == "," and len(names) == 1 and ";" in names[0]:
+                raise WorkError(f"{path}: columns stand between semicolons; a comma is wanted between columns and a "
+                                "point in numbers (a spreadsheet exports such a CSV under an English locale)")
             first = [names_line] if names_in_header and names_line is not None else []
             lines = _rows(path, file, first, number)
             row = next(lines, None)

@@ -34,7 +34,7 @@ def bode_figure(rig: Rig, run: Run | None = None, *, lowest: float = 0.1, highes
     if measured is not None and highest is None:
         top = min(top, excited(run))
     frequency = np.geomspace(lowest, top, points)
-    models = {"finite elements": finite_element_response(rig, frequency),
+    models = {"finite elements": finite_element_response(rig.meshed(), frequency),
               "transfer matrices": transfer_matrix_response(rig, frequency)}
     sensors = ["encoder"] if models["finite elements"].accel is None else ["encoder", "accel"]
     rows = 2 if measured is None else 3

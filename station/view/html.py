@@ -12,7 +12,7 @@ import jinja2
 from plotly.offline import get_plotlyjs
 from plotly.utils import PlotlyJSONEncoder
 
-from station.errors import WorkError
+from station.runs.files import new_file
 from station.view import wording
 
 
@@ -27,11 +27,9 @@ def render(template: str, *styles: str, **values: Any) -> str:
 
 
 def write_page(path: str | Path, text: str) -> None:
-    """WorkError where the file cannot be written."""
-    try:
-        Path(path).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise WorkError(f"{path}: cannot be written: {error.strerror or error}") from None
+    """Write a page, whole or not at all; WorkError where the file cannot be written."""
+    with new_file(path, overwrite=True) as part:
+        part.write_text(text, encoding="utf-8")
 
 
 def script_json(value: Any) -> str:

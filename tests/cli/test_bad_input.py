@@ -10,12 +10,14 @@ from pathlib import Path
 import pytest
 
 from station.rig import builtin_rigs
-from station.runs import export_run
+from station.runs import Run, export_run
 from tests.cli.conftest import step_run
 
 SFLR = builtin_rigs()["sflr"]
 RIG_FAULTS = {
     "an unknown key": (SFLR.replace("[motor]", "[motor]\ncolour = 3"), "motor.colour: unknown key"),
+    "a misspelt table": (SFLR.replace("[motor]", "[motr]"), "motr: unknown key"),
+    "a misspelt key": (SFLR.replace("stiffness = 0.102728", "stifness = 0.102728"), "drive.stifness: unknown key"),
     "an unknown table": (SFLR + "\n[wheel]\nmass = 1.0\n", "wheel: unknown key"),
     "a negative mass": (SFLR.replace("mass = 0.00612610", "mass = -0.1"), "tip.mass"),
     "a beam of no length": (SFLR.replace("length = 0.413544", "length = 0.0"), "beam.length"),
@@ -62,6 +64,31 @@ RUN_FAULTS = {
     "one row": _csv(["0.0,0,0,0,0"]),
     "a header to be evaluated": "# controller = __import__('os').system('true')\n" + _csv(["0,0,0,0,0", "1,0,0,0,0"]),
 }
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ("t;reference;command;encoder\n0,0;0;0;0\n0,002;0;0;0\n", "between semicolons"),
+    ("t,reference,command,encoder,encoder\n0,0,0,0,0\n0.002,0,0,0,0\n", "the column 'encoder' stands twice"),
+    (_csv(["0.0,0,0,0,0", "0.002,0,0,1e9,0"]), "encoder, row 1: 1e+09 counts")])
+def test_what_is_wrong_with_a_table_is_named(station, tmp_path, text, words):
+    log, out = tmp_path / "bad.csv", tmp_path / "out.mcap"
+    log.write_text(text)
+    ended = station("import", log, "--out", out)
+    assert ended.status == 1 and words in ended.one_line() and "bad.csv" in ended.one_line()
+    assert not out.exists()
+
+
+def test_a_log_that_ends_early_or_has_gaps_says_so_wherever_it_is_used(station, tmp_path):
+    whole, cut, gappy = tmp_path / "whole.mcap", tmp_path / "cut.mcap", tmp_path / "gappy.csv"
+    run = step_run(rows=2000)
+    export_run(run, whole)
+    cut.write_bytes(whole.read_bytes()[:-400])
+    kept = [row for row in range(2000) if row not in (60, 61)]
+    export_run(Run("gappy", n=kept, metadata=run.metadata,
+                   **{name: values[kept] for name, values in run.columns().items()}), gappy)
+    for command in (["compare", "--rig", "sflr"], ["replay", "--rig", "sflr"]):
+        assert "cut.mcap: the log ends early" in station(*command, cut).err
+    assert "gappy.csv: 2 samples are missing" in station("compare", "--rig", "sflr", gappy).err
 
 
 @pytest.mark.parametrize("fault", RUN_FAULTS)

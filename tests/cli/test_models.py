@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from station.rig import builtin_rigs, load_rig
-from station.runs import export_run, load_run
+from station.runs import Run, export_run, load_run
 from tests.cli.conftest import step_run
 from tests.measured import measured_log
 
@@ -34,6 +34,36 @@ def test_compare_has_the_form_of_the_contract(station, step):
     assert one["encoder"]["nrmse"] < 0.01 and one["accel"]["nrmse"] < 0.05
     assert set(one["measured"]) == {"overshoot_percent", "settling_time"}
     assert one["measured"]["overshoot_percent"] == pytest.approx(one["simulated"]["overshoot_percent"], abs=2.1)
+
+
+@pytest.mark.parametrize("kind", ["step", "pulse"])
+def test_a_test_of_the_simulated_rig_compares_to_its_own_rig_by_nothing(station, tmp_path, kind):
+    log, made = tmp_path / f"{kind}.mcap", tmp_path / "made.csv"
+    assert station("run", kind, "--port", "sim://sflr?noise=0", "--rig", "sflr", "--amplitude", 60, "--out",
+                   log).status == 0
+    assert station("simulate", "--rig", "sflr", "--like", log, "--out", made).status == 0
+    found = json.loads(station("compare", "--rig", "sflr", log, made, "--json", "-").out)["runs"]
+    assert [run[channel]["nrmse"] for run in found for channel in ("encoder", "accel")] == [0.0] * 4
+
+
+def test_a_run_with_lost_samples_is_compared_on_the_rows_that_it_has(station, tmp_path):
+    whole = step_run()
+    kept = np.delete(np.arange(len(whole)), [40, 90, 91])
+    cut = Run(name="cut", n=kept, metadata=whole.metadata, **{
+        name: values[kept] for name, values in whole.columns().items()})
+    export_run(cut, tmp_path / "cut.csv")
+    found = json.loads(station("compare", "--rig", "sflr", tmp_path / "cut.csv", "--json", "-").out)["runs"][0]
+    assert found["encoder"]["nrmse"] == 0.0 and found["accel"]["nrmse"] == 0.0
+    made = tmp_path / "made.csv"
+    assert station("simulate", "--rig", "sflr", "--like", tmp_path / "cut.csv", "--out", made).status == 0
+    assert np.array_equal(load_run(made).encoder, whole.encoder)
+
+
+def test_compare_refuses_a_run_of_another_rate(station, step, tmp_path):
+    slow = tmp_path / "slow.toml"
+    slow.write_text(builtin_rigs()["sflr"].replace("sample_rate = 500.0", "sample_rate = 250.0"))
+    ended = station("compare", "--rig", slow, step)
+    assert ended.status == 1 and "step: sampled at 500 Hz, the rig at 250 Hz" in ended.one_line()
 
 
 def test_compare_shows_a_wrong_rig(station, step, tmp_path):
@@ -81,6 +111,6 @@ def test_bode_draws_the_rig_and_a_run(station, step, tmp_path):
                    "--out", sweep).status == 0
     assert station("bode", "--rig", "sflr", "--run", sweep, "--out", out).status == 0
     assert out.read_text(encoding="utf-8").lstrip().startswith("<?xml")
-    ended = station("bode", "--rig", "sflr", "--run", step, "--out", out)
+    ended = station("bode", "--rig", "sflr", "--run", step, "--out", out, "--overwrite")
     assert ended.status == 1 and "step" in ended.one_line()
     assert station("bode", "--rig", "sflr", "--out", tmp_path / "bode.txt").status == 2

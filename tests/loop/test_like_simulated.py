@@ -39,7 +39,7 @@ def port(rig, tmp_path):
 
 
 def simulated(rig, run, **options):
-    return simulate_model(build(rig), run, **options)
+    return simulate_model(build(rig.meshed()), run, **options)
 
 
 def angles_of_starts(port):

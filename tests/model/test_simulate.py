@@ -210,8 +210,10 @@ def test_without_torque_or_command_nothing_moves(rig, start):
 
 def test_starts_differ_where_a_constant_torque_acts(rig):
     """A tilted rig whose motor's friction holds: released it sags on its drive, in equilibrium it already has."""
-    tilted = rig.with_effects(effects(("gravity_tilt", "base", {"torque": 0.05, "angle": 1.0}),
-                                      ("coulomb_friction", "motor", {"torque": 0.1})))
+    beam = rig.beam.model_copy(update={"mesh": "as_stated"})      # with 8 elements rounding alone drifts 2e-5 counts
+    tilted = rig.model_copy(update={"beam": beam}).with_effects(
+        effects(("gravity_tilt", "base", {"torque": 0.05, "angle": 1.0}),
+                ("coulomb_friction", "motor", {"torque": 0.1})))
     made = {start: simulate(tilted, make_run(np.zeros(2000), start=start), rounding=False, start_angle=0.0).encoder
             for start in ("released", "equilibrium")}
     np.testing.assert_allclose(made["equilibrium"], 0.0, atol=1e-5)
@@ -241,9 +243,10 @@ def test_clock_scale_is_another_true_rate_under_the_same_nominal_time(rig, ratio
 def test_states_and_shape_are_what_the_sensors_read(rig):
     made = simulate(rig, make_run(noise(200)), rounding=False, start_angle=0.1, states=True)
     np.testing.assert_allclose(made.states[:, 1] / rig.angle_per_count, made.encoder, atol=1e-9)
-    assert made.shape.shape == (200, rig.beam.elements + 1)
+    nodes = rig.meshed().beam.elements + 1
+    assert nodes > rig.beam.elements + 1 and made.shape.shape == (200, nodes)
     np.testing.assert_array_equal(made.shape[:, 0], 0.0)
-    np.testing.assert_allclose(made.shape[0], 0.1 * rig.beam.length * np.linspace(0.0, 1.0, 5), atol=1e-12)
+    np.testing.assert_allclose(made.shape[0], 0.1 * rig.beam.length * np.linspace(0.0, 1.0, nodes), atol=1e-12)
 
 
 WORK = """

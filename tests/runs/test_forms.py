@@ -79,7 +79,7 @@ BAD_TEXT = {
     "empty": ("", "the file is empty"),
     "no rows": ("t,reference,command,encoder\n", "0 rows"),
     "no encoder": ("t,reference,command\n0,0,0\n0.002,0,0\n", "column encoder is missing"),
-    "no header": ("0,0,0,0\n0.002,0,0,0\n", "a column name stands twice"),
+    "no header": ("0,0,0,0\n0.002,0,0,0\n", "the column '[^']*' stands twice"),
     "repeated column": ("t,t,reference,command,encoder\n0,0,0,0,0\n1,1,1,1,1\n", "stands twice"),
     "a word": (HEAD + "0.002,0,zero,0,0\n0.004,0,0,0,0\n", "line 3: 'zero' is not a number"),
     "an underscore": (HEAD + "0.002,0,1_0,0,0\n", "line 3: '1_0' is not a number"),

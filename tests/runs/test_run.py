@@ -75,6 +75,25 @@ def test_a_lost_tick_is_counted_and_named_never_filled():
     run.slice(0, 11).require_unbroken()
 
 
+def test_a_gap_is_filled_with_the_command_in_force_and_its_rows_are_marked():
+    n = np.delete(np.arange(31), [11, 12])
+    run = Run(name="made", **plain(t=n / 500.0, n=n, command=10.0 * n, encoder=3.0 * n, reference=1.0 * n))
+    whole = run.filled()
+    assert whole.lost_samples == 0 and len(whole) == 31 and whole.sample_rate == run.sample_rate
+    np.testing.assert_array_equal(np.flatnonzero(~whole.logged), [11, 12])
+    np.testing.assert_array_equal(whole.command[10:14], [100.0, 100.0, 100.0, 130.0])
+    np.testing.assert_allclose(whole.encoder, 3.0 * np.arange(31))
+    np.testing.assert_array_equal(whole.command[whole.logged], run.command)
+    whole.require_unbroken()
+    assert run.logged.all() and run.slice(0, 11).filled().name == "made"
+
+
+def test_a_run_that_lost_more_than_it_logged_is_refused():
+    n = np.array([0, 1, 2, 900])
+    with pytest.raises(WorkError, match="897 samples lost and 4 logged"):
+        Run(name="made", **plain(rows=4, t=n / 500.0, n=n)).filled()
+
+
 def test_a_slice_keeps_time_every_column_and_metadata():
     run = full_run()
     part = run.slice(5, 25)

@@ -1,0 +1,70 @@
+"""Measured runs against a rig's simulation of the same tests."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from station import markup
+from station.diagnose.measures import measures
+from station.diagnose.validation import CHANNELS, settled_run, whole_run
+from station.estimation.dataset import Dataset, dataset
+from station.model.simulate import Model, Simulation, build
+from station.rig import Rig
+from station.runs.run import Run
+
+FAR = 1e9
+"""What a simulation is away, counts, that has run off."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Runs, their gaps filled, and the simulations beside them."""
+
+    rig: Rig
+    runs: tuple[Run, ...]
+    simulations: tuple[Simulation, ...]
+
+    @property
+    def measures(self) -> list[dict[str, Any]]:
+        """As ``compare --json`` has it: per run nrmse of each channel, and step measures, measured and simulated."""
+        return [measures(run, made) for run, made in zip(self.runs, self.simulations, strict=True)]
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for found in self.measures:
+            error = [f"{100.0 * found[c]['nrmse']:.1f} %" if c in found else "-" for c in CHANNELS]
+            step = [f"{found[side]['overshoot_percent']:.1f} %" if found[side] else "-"
+                    for side in ("measured", "simulated")]
+            rows.append((found["run"], *error, *step))
+        plots = []
+        for run, made in zip(self.runs, self.simulations, strict=True):
+            lines = {"measured": run.encoder, "simulated": made.encoder}
+            plots.append(f"<div>{markup.legend(lines)}</div><div>{markup.plot(run.t, lines, run.name)}</div>")
+        return markup.table(("run", "angle error", "acceleration error", "overshoot measured", "simulated"), rows,
+                            f"Error in % of the signal's spread, simulated by {self.rig.name}") + "".join(plots)
+
+
+def compare(rig: Rig, runs: Sequence[Run]) -> Comparison:
+    """Simulate the tests of runs on a rig, starting angle and accelerometer offset estimated per run.
+
+    Where the first readings themselves suit a run better than that estimate, they are taken: a run that the rig
+    simulated compares to itself by 0.  WorkError: a run's rate is not the rig's, or its controller reads a sensor that
+    the rig has not.
+    """
+    data = dataset(rig, runs)
+    model = build(data.rig)
+    return Comparison(rig, data.runs, tuple(_nearest(data, model, r) for r in range(len(data.runs))))
+
+
+def _nearest(data: Dataset, model: Model, r: int) -> Simulation:
+    tried = [make(data, model, r, data.start[r], data.offset[r]) for make in (whole_run, settled_run)]
+
+    def error(made: Simulation) -> float:
+        away = data.measured[r][: data.channels] - np.stack([getattr(made, c) for c in CHANNELS[: data.channels]])
+        away = np.nan_to_num(away, nan=FAR, posinf=FAR, neginf=-FAR)
+        return float(np.sum(data.share[r] * (away / data.sigma[:, None]) ** 2))
+    return min(tried, key=error)

@@ -1,0 +1,68 @@
+"""Outputs: no file is replaced unasked, an input never."""
+
+from __future__ import annotations
+
+import shutil
+
+import pytest
+
+from station.rig import builtin_rigs
+
+WRITES = {
+    "diagnose": ("--json", "--report", "--save-rig"),
+    "compare": ("--json",),
+    "fit": ("--save-rig", "--json"),
+    "bode": ("--out",),
+    "view": ("--save",),
+    "simulate": ("--out",),
+    "export": ("--out",),
+    "import": ("--out",),
+    "trim": ("--out",),
+    "recover": ("--out",),
+    "replay": ("--json",),
+}
+ENDINGS = {"--report": ".html", "--save-rig": ".toml", "--json": ".json", "--out": ".csv", "--save": ".rrd"}
+
+
+@pytest.fixture
+def arguments(step, tmp_path):
+    """What each command wants beside its output."""
+    rig = tmp_path / "my_rig.toml"
+    rig.write_text(builtin_rigs()["sflr"], encoding="utf-8")
+    log = tmp_path / "log.csv"
+    shutil.copy(step, log)
+    return {name: {"simulate": ["--like", log, "--rig", rig], "bode": ["--rig", rig, "--run", log],
+                   "export": [log], "trim": [log], "recover": [log]}.get(name, [log, "--rig", rig])
+            for name in WRITES}
+
+
+@pytest.mark.parametrize(("name", "option"), [(name, option) for name, options in WRITES.items() for option in options])
+def test_a_file_that_is_there_stays_as_it_is(station, arguments, tmp_path, name, option):
+    there = tmp_path / f"there{'.svg' if name == 'bode' else ENDINGS[option]}"
+    there.write_bytes(b"mine")
+    ended = station(name, *arguments[name], option, there)
+    assert ended.status == 1 and f"{there}: exists already; --overwrite replaces it" in ended.one_line()
+    assert there.read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize(("name", "option", "source"), [
+    (name, option, source) for name, options in WRITES.items() if name != "view" for option in options
+    for source in ("log.csv", "my_rig.toml") if source == "log.csv" or name not in ("export", "trim", "recover")])
+def test_an_input_is_never_an_output(station, arguments, tmp_path, name, option, source):
+    path = tmp_path / source
+    before = path.read_bytes()
+    ended = station(name, *arguments[name], option, path.parent / "." / path.name, "--overwrite")
+    assert ended.status == 2 and "is an input of this command" in ended.one_line()
+    assert path.read_bytes() == before
+
+
+def test_overwrite_replaces_what_is_there(station, step, tmp_path):
+    out = tmp_path / "measures.json"
+    out.write_text("old", encoding="utf-8")
+    assert station("compare", "--rig", "sflr", step, "--json", out, "--overwrite").status == 0
+    assert out.read_text(encoding="utf-8").startswith("{")
+
+
+def test_two_outputs_of_one_name_are_refused(station, step, tmp_path):
+    ended = station("diagnose", "--rig", "sflr", step, "--json", tmp_path / "x", "--report", tmp_path / "x")
+    assert ended.status == 2 and "named for two outputs" in ended.one_line()

@@ -1,0 +1,64 @@
+"""Lost samples: simulated through, never counted, never corrected by."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from station.errors import WorkError
+from station.estimation.dataset import dataset
+from station.estimation.observer import observers
+from station.estimation.parameters import Hypothesis, parameters
+from station.estimation.prediction import Predictor
+from station.rig import load_rig
+from station.runs import Run
+from tests.cli.conftest import step_run
+
+LOST = np.array([60, 61, 62, 150])
+
+
+def with_gaps() -> Run:
+    """A step of which a few rows are lost."""
+    whole = step_run(name="gappy")
+    kept = np.delete(np.arange(len(whole)), LOST)
+    columns = {name: values[kept] for name, values in whole.columns().items()}
+    return Run(name="gappy", n=kept, metadata=whole.metadata, **columns)
+
+
+def test_lost_rows_do_not_count_and_the_others_count_as_in_the_whole_run():
+    rig = load_rig("sflr")
+    data, whole = dataset(rig, [with_gaps()]), dataset(rig, [step_run()])
+    assert np.array_equal(np.flatnonzero(~data.logged[0]), LOST)
+    assert np.all(data.share[0][:, LOST] == 0.0)
+    far = np.ones(len(whole.logged[0]), dtype=bool)
+    far[[row for lost in LOST for row in range(lost - 12, lost + 13)]] = False
+    np.testing.assert_array_equal(data.share[0][:, far], whole.share[0][:, far])
+
+
+def test_windows_keep_lost_rows_out():
+    data = dataset(load_rig("sflr"), [with_gaps()], [slice(0, 100)])
+    assert data.windows[0].sum() == 97 and not data.windows[0][100:].any()
+
+
+def test_what_stands_in_a_gap_never_reaches_a_prediction():
+    rig = load_rig("sflr")
+    with ThreadPoolExecutor(1) as pool:
+        found = []
+        for spoil in (0.0, 500.0):
+            data = dataset(rig, [with_gaps()])
+            data.measured[0][:, LOST] += spoil
+            predictor = Predictor(data, observers(data.rig, data.noise[0]), pool)
+            space = parameters(data, Hypothesis(), {})
+            found.append(predictor.runs(space, np.zeros(space.size), data.start, data.offset)[0])
+        data.logged[0][:] = True
+        heard = predictor.runs(space, np.zeros(space.size), data.start, data.offset)[0]
+    np.testing.assert_array_equal(found[0], found[1])
+    assert np.abs(heard - found[0]).max() > 1.0
+
+
+def test_a_run_of_another_rate_is_refused():
+    slow = load_rig("sflr").model_copy(update={"sample_rate": 250.0})
+    with pytest.raises(WorkError, match="step: sampled at 500 Hz, the rig at 250 Hz"):
+        dataset(slow, [step_run()])
