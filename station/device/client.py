@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import secrets
 import time
 from collections import deque
@@ -182,7 +183,7 @@ class Client:
         for self._tries in range(1, tries + 1):
             nonce = secrets.randbits(16)
             frame = encode(MESSAGES["identify"].pack(version=PROTOCOL.version, hash=PROTOCOL.hash, nonce=nonce))
-            found = self._once(b"\0" + frame, lambda body, nonce=nonce: self._identity(body, nonce))
+            found = self._once(b"\0" + frame, functools.partial(self._identity, nonce=nonce))
             if found is not None:
                 break
         else:

@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from types import TracebackType
+from typing import Any
 
 from station.device.emulator import Emulator
 from station.device.faults import Faults
@@ -138,7 +139,7 @@ class _Exchange:
         """Bytes from the active host; b"" where none came within timeout seconds."""
         data = b""
         for ready, _ in self._ends.select(timeout):
-            end = ready.fileobj
+            end: Any = ready.fileobj
             if end is self._listener:
                 self._accept()
                 continue
@@ -180,7 +181,8 @@ class _Exchange:
 
     def close(self) -> None:
         for key in list(self._ends.get_map().values()):
-            key.fileobj.close()
+            end: Any = key.fileobj
+            end.close()
         if self._listener is not None:
             self._listener.close()
         self._ends.close()

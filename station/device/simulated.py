@@ -134,7 +134,7 @@ class Options:
 def rig_source(rig: Rig, options: Options) -> tuple[PlantSource, float, int]:
     """The plant behind a device, the true sample period (s), and the number of this power-up."""
     boot = random.getrandbits(32) if options.seed is None else zlib.crc32(f"{options} {rig.to_toml()}".encode())
-    scale = next((effect.ratio for effect in rig.effects if effect.name == "clock_scale"), 1.0)
+    scale = next((effect.values()["ratio"] for effect in rig.effects if effect.name == "clock_scale"), 1.0)
     return PlantSource(rig, options.angle, options.accel_offset, options.noise, boot), rig.period * scale, boot
 
 

@@ -42,7 +42,7 @@ class Histogram:
     counts: tuple[int, ...]
 
     @classmethod
-    def of(cls, values: Sequence[float]) -> Histogram:
+    def of(cls, values: Sequence[float] | np.ndarray) -> Histogram:
         """Of times, s, not negative."""
         counts, _ = np.histogram(values, bins=[*_EDGES, np.inf])
         return cls(_EDGES, tuple(int(count) for count in counts))

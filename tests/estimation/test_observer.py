@@ -10,7 +10,7 @@ import pytest
 from station.estimation.observer import observers
 from station.model.effects import effect_class
 from station.model.simulate import build, initial_state
-from station.model.stepper import _advance, begin, sense
+from station.model.stepper import advance, begin, sense
 from station.rig import Rig
 from tests.truth import RIGID_AXIS, SERVO, SFLR, TWO_MASS
 
@@ -37,8 +37,8 @@ def errors_left(rig: Rig, horizon: float, noise: float) -> np.ndarray:
         found.append(missed)
         wrong.z[:] += gain * missed
         torque = observer.decay * (torque + observer.torque * missed)
-        _advance(model.plan, wrong, 0.0, torque, work)
-        _advance(model.plan, right, 0.0, 0.0, work)
+        advance(model.plan, wrong, 0.0, torque, work)
+        advance(model.plan, right, 0.0, 0.0, work)
     return np.array(found)
 
 
