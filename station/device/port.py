@@ -25,10 +25,11 @@ WRITE_TIMEOUT = 0.25
 class Port:
     """An open port.  ``read`` and ``write`` raise WorkError, naming the port, when the line is lost."""
 
+    _wakes_at = 1
+
     def __init__(self, url: str, line: SerialBase) -> None:
         self.url = url
         self.serial = line
-        self._wakes_at = 1
 
     def read(self, size: int) -> bytes:
         """Up to size bytes; fewer where TIMEOUT passes first."""
