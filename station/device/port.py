@@ -28,6 +28,8 @@ WRITE_TIMEOUT = 0.25
 class Port:
     """An open port.  ``read`` and ``write`` raise WorkError, naming the port, when the line is lost."""
 
+    _wakes_at = 1
+
     def __init__(self, url: str, line: SerialBase) -> None:
         self.url = url
         self.serial = line
@@ -36,7 +38,13 @@ class Port:
     def read(self, size: int) -> bytes:
         """Up to size bytes; fewer where TIMEOUT passes first."""
         try:
-            return self.serial.read(size)
+            self._wake_at(size)
+            data = self.serial.read(size)
+            if not data and self._wakes_at > 1:
+                self._wake_at(1)
+                if self.serial.in_waiting:
+                    data = self.serial._socket.recv(size)
+            return data
         except (SerialException, OSError, TypeError) as error:  # TypeError: pyserial's, on a port closed meanwhile
             raise self._lost(error) from None
 
@@ -57,9 +65,18 @@ class Port:
     def read_waiting(self) -> bytes:
         """What has come, at least one byte; b"" where nothing comes for TIMEOUT."""
         try:
+            self._wake_at(1)
             return self.serial.read(max(1, self.serial.in_waiting))
         except (SerialException, OSError, TypeError) as error:
             raise self._lost(error) from None
+
+    def _wake_at(self, count: int) -> None:
+        """Let a socket wake its reader for so many bytes, not for each of a frame that comes in pieces."""
+        connection = getattr(self.serial, "_socket", None)
+        if count != self._wakes_at and isinstance(connection, socket.socket):
+            self._wakes_at = count
+            with contextlib.suppress(OSError):  # Windows knows no such thing
+                connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVLOWAT, count)
 
     def _lost(self, error: Exception) -> WorkError:
         return WorkError(f"{self.url}: the line was lost ({_words(error)}); check cable and device")

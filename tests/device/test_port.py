@@ -194,3 +194,13 @@ def test_an_emulator_that_is_missing_is_told_with_what_to_install(monkeypatch):
     error = complaint("qemu://sflr")
     assert isinstance(error, UsageError) and "apt install qemu-system-arm" in str(error)
     assert "which rig" in str(complaint("qemu://"))
+
+
+def test_what_came_of_a_frame_before_the_timeout_is_read_at_once():
+    with socket.create_server(("127.0.0.1", 0)) as server, open_port(
+            f"socket://127.0.0.1:{server.getsockname()[1]}") as port, server.accept()[0] as other:
+        other.sendall(b"123456789")
+        assert port.read(22) == b"123456789"
+        other.sendall(b"ab")
+        assert port.read_waiting() == b"a"
+        assert port.read(1) == b"b"

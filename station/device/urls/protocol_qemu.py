@@ -7,8 +7,6 @@ one.
 from __future__ import annotations
 
 import shutil
-import socket
-from contextlib import suppress
 
 from serial.serialutil import SerialException
 from serial.urlhandler import protocol_socket
@@ -39,7 +37,6 @@ class Serial(protocol_socket.Serial):
     """pyserial's port class for qemu://: its socket class, at the emulated chip's UART."""
 
     _device: DeviceProcess | None = None
-    _wakes_at = 1
 
     def open(self) -> None:
         """Start the emulator and connect; SerialException where that fails."""
@@ -49,32 +46,12 @@ class Serial(protocol_socket.Serial):
             self._device = device_process(self.portstr).__enter__()
         except StationError as error:
             raise SerialException(str(error)) from error
-        self._wakes_at = 1
         super().open()
 
     def from_url(self, url: str) -> tuple[str, int]:
         """Where the emulator listens."""
         host, port = self._device.addresses.tcp.removeprefix("socket://").rsplit(":", 1)
         return host, int(port)
-
-    def read(self, size: int = 1) -> bytes:
-        """Up to size bytes, fewer where the timeout passes.
-
-        The emulated UART sends each byte by itself: a program that is woken for each would lose its time to that.
-        """
-        self._wake_at(size)
-        data = super().read(size)
-        if not data and size > 1:
-            self._wake_at(1)
-            if self.in_waiting:
-                data = self._socket.recv(size)
-        return data
-
-    def _wake_at(self, count: int) -> None:
-        if count != self._wakes_at and self.is_open:
-            self._wakes_at = count
-            with suppress(OSError):  # Windows knows no such thing
-                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVLOWAT, count)
 
     def close(self) -> None:
         """Hang up, and end the emulator."""
