@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from station.control.compensators import Compensator
     from station.device.port import open_port
     from station.errors import StationError, UsageError, WorkError
-    from station.model.effects import Effect, effect_class, load_effects
+    from station.model.effects import Effect, Stage, effect_class, load_effects
+    from station.model.effects.base import parameter, torque_scale
     from station.rig import Rig
     from station.runs.quality import quality
     from station.runs.replay import compare_replay
@@ -28,7 +29,8 @@ _HOMES = {
     "control.compensators": ("Compensator",),
     "device.port": ("open_port",),
     "errors": ("StationError", "UsageError", "WorkError"),
-    "model.effects": ("Effect", "effect_class", "load_effects"),
+    "model.effects": ("Effect", "Stage", "effect_class", "load_effects"),
+    "model.effects.base": ("parameter", "torque_scale"),
     "rig": ("Rig",),
     "runs.quality": ("quality",),
     "runs.replay": ("compare_replay",),
@@ -38,9 +40,10 @@ _HOMES = {
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
-__all__ = ["Compensator", "Effect", "Report", "Rig", "Run", "RunMetadata", "StationError", "UsageError", "WorkError",
-           "bode_figure", "compare", "compare_replay", "diagnose", "effect_class", "export_run", "import_run",
-           "list_runs", "load_effects", "load_rig", "load_run", "open_port", "quality", "run_test", "simulate"]
+__all__ = ["Compensator", "Effect", "Report", "Rig", "Run", "RunMetadata", "Stage", "StationError", "UsageError",
+           "WorkError", "bode_figure", "compare", "compare_replay", "diagnose", "effect_class", "export_run",
+           "import_run", "list_runs", "load_effects", "load_rig", "load_run", "open_port", "parameter", "quality",
+           "run_test", "simulate", "torque_scale"]
 
 
 def __getattr__(name: str) -> Any:

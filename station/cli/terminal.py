@@ -93,7 +93,8 @@ def write_text(path: str | Path, text: str) -> None:
 
 @contextmanager
 def progress(what: str) -> Iterator[Any]:
-    """A progress bar on standard error; yields ``update(fraction, text="")``, fraction None where unknown.
+    """A progress bar on standard error; yields ``update(fraction, text="")``, fraction None where unknown; with the
+    time that has passed and, where the fraction is known, the time still to go.
 
     Silent when not a terminal.
     """
@@ -101,9 +102,10 @@ def progress(what: str) -> Iterator[Any]:
         yield lambda fraction, text="": None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
     with Progress(TextColumn("{task.description}", markup=False), BarColumn(), TimeElapsedColumn(),
+                  TextColumn("still"), TimeRemainingColumn(),
                   console=Console(stderr=True), transient=True) as bars:
         task = bars.add_task(what, total=1.0)
 
