@@ -429,7 +429,7 @@ def with_word(asked: NextExperiment | None, verdict: Verdict, odds: Odds, named:
     words = ". ".join(f"{row.equivalence.sentence} No test of this station can tell them apart: {row.equivalence.tells}"
                       for row in known)
     alike = {named, *(side.causes for row in known for side in row.sides)}
-    settled = verdict == "ambiguous" and sum(p for keys, p in odds.sets if keys in alike) >= SURE
+    settled = verdict == "ambiguous" and sum(p for keys, p in odds.sets if any(s <= keys for s in alike)) >= SURE
     if asked is None or settled:
         return NextExperiment(test=None, why=words)
     return NextExperiment(test=asked.test, why=f"{asked.why}. {words}")

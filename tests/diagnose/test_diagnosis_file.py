@@ -292,16 +292,6 @@ def test_a_run_without_the_accelerometer_is_refused(pair):
     one_line(refused.value, deaf.name, "accelerometer")
 
 
-def test_a_run_with_lost_samples_is_refused(pair):
-    rows = np.r_[0:300, 305:len(pair[0])]
-    n = rows.astype(float)
-    torn = Run(pair[0].name, pair[0].t[rows], pair[0].reference[rows], pair[0].command[rows], pair[0].encoder[rows],
-               pair[0].accel[rows], pair[0].metadata, n=n)
-    with pytest.raises(WorkError) as refused:
-        diagnose(SFLR_RIG, [torn, pair[1]], effort="quick")
-    one_line(refused.value, torn.name, "5 samples")
-
-
 @pytest.mark.parametrize("column", ["t", "reference", "command", "encoder", "accel"])
 def test_a_run_that_is_not_a_number_cannot_be_made(pair, column):
     values = getattr(pair[0], column).copy()

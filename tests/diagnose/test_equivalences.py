@@ -28,6 +28,7 @@ from station.diagnose.equivalences import (
 )
 from station.diagnose.odds import Odds
 from station.diagnose.result import NextExperiment
+from station.diagnose.thresholds import LOG_PRIOR
 from station.model.effects import effect_class
 from station.model.simulate import build, simulate_model
 from station.rig import Rig, load_rig
@@ -304,7 +305,9 @@ def test_odds_of_two_sides_stand_as_the_prior_says():
     lone = frozenset({INPUT})
     found = standing_in(setting(SFLR), lone, SFLR.with_effects(late(input=0.003)))
     odds = completed(Odds([(lone, 0.98), (frozenset(), 0.02)], {INPUT: 0.98}, 0.02, {}), lone, found)
-    assert odds.causes[INPUT] == pytest.approx(0.98, abs=0.001) and 0.0 < odds.causes[ACCEL] < FLOOR
+    side = 0.98 * math.exp(LOG_PRIOR)
+    assert odds.causes[INPUT] == pytest.approx(0.98 / (1.0 + side))
+    assert odds.causes[ACCEL] == pytest.approx(side / (1.0 + side))
 
 
 def test_no_test_is_proposed_where_only_equivalents_are_left():

