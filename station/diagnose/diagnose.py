@@ -29,7 +29,7 @@ from station.diagnose.result import (
     Wrong,
 )
 from station.diagnose.selection import EFFORTS, Selection, fitted, refined, select
-from station.diagnose.thresholds import FEW
+from station.diagnose.thresholds import FEW, NOISE
 from station.diagnose.validation import (
     gain,
     leave_each_out,
@@ -243,11 +243,8 @@ def _notes(rig: Rig, search: Selection, left: Remainder, said: Stated, found: Od
     if rig.beam is not None and data.rig.beam.elements != rig.beam.elements:
         notes.append(f"simulated with {data.rig.beam.elements} beam elements; with the {rig.beam.elements} of the "
                      "rig file the mesh's own error would look like physics")
-    channel = search.predictor.channel
     for r, run in enumerate(data.runs):
-        for b, c in enumerate(channel):
-            if max(left.size[r, b], left.slow[r, b]) > 6.0 and b in (len(search.predictor.observers) - 1,
-                                                                    len(channel) - 1):
-                notes.append(f"{run.name}: {('encoder', 'accel')[c]} is left with more than noise "
-                             f"({left.size[r, b]:.0f} sigma in size, {left.slow[r, b]:.0f} sigma in slow motion)")
+        for c, channel in enumerate(("encoder", "accel")[: data.channels]):
+            if max(left.size[r, c], left.slow[r, c]) > NOISE:
+                notes.append(f"{run.name}: {channel} is left with more than noise over the whole run")
     return notes

@@ -14,12 +14,12 @@ from station.estimation.prediction import Predictor
 
 @dataclass(frozen=True)
 class Remainder:
-    """What a fit leaves, per run and block, against what noise would leave."""
+    """What a fit leaves of whole runs, per run and channel, against what noise would leave."""
 
     size: np.ndarray
-    """(runs, b) z-score of the mean square."""
+    """(runs, c) z-score of the mean square."""
     slow: np.ndarray
-    """(runs, b) z-score of the mean square of sums over SPAN samples: structure, not noise."""
+    """(runs, c) z-score of the mean square of sums over SPAN samples: structure, not noise."""
 
     @property
     def is_noise(self) -> bool:
@@ -34,13 +34,15 @@ SPAN = 25
 def remainder(predictor: Predictor, found: Fit) -> Remainder:
     """Judge the errors of a fit.
 
-    Errors count by their share.  A sum over SPAN samples has the variance SPAN where errors last 1/share < SPAN
+    The encoder's are those of the longest horizon: an observer that forgets feeds the sensor's noise back into what it
+    predicts, so that its errors are larger than the noise.  Errors count by their share.  A sum over SPAN samples has the variance SPAN where errors last 1/share < SPAN
     samples, and (sum sqrt(share))^2 where one error lasts all through.
     """
     data: Dataset = predictor.data
     size, slow = [], []
-    for e, own in zip(found.residuals, data.share, strict=True):
-        share = own[predictor.channel]
+    blocks = [len(predictor.observers) - 1, len(predictor.channel) - 1][: data.channels]
+    for every, share in zip(found.residuals, data.share, strict=True):
+        e = every[blocks]
         independent = np.maximum(share.sum(axis=1), 1e-9)
         spread = np.sqrt(3.0 / independent + 3.0 / data.noise_rows)
         size.append((np.sum(e * e, axis=1) / independent - 1.0) / spread)
