@@ -112,7 +112,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     diagnosis = Diagnosis(
         verdict=decision, wrong=_wrong(runs, before, data.noise), causes=causes, gain=bought,
         next_experiment=with_word(None if decided else choice.next, decision, told, said.causes, known),
-        disturbance=_disturbance(predictor, [rig, refit_rig, extended]), rig=rig.name, effort=effort,
+        disturbance=_disturbance(predictor, [data.rig, refit_rig, extended]), rig=rig.name, effort=effort,
         runs=[RunFile(run=run.name) for run in given],
         ranking=[Ranked(effect=r.effect, at=r.at, probability=min(r.probability, 1.0), note=r.note) for r in ranking])
     pictures = evidence(refit_rig, extended, runs[:1] if windows else runs, [(c.effect, c.at) for c in causes])
@@ -218,7 +218,7 @@ def _disturbance(predictor: Predictor, rigs: Sequence[Rig]) -> Disturbance:
     data, observer = predictor.data, predictor.observers[0]
 
     def share(rig: Rig) -> float:
-        model, missing, command = build(rig.meshed(), *SEARCH[:2]), 0.0, 0.0
+        model, missing, command = build(rig, *SEARCH[:2]), 0.0, 0.0
         for r, run in enumerate(data.runs):
             torque = predict(model, observer, data.measured[r], np.ascontiguousarray(run.command, dtype=float),
                              start_angle=angle_that_reads(model.rig, data.start[r], 0.0), offset=data.offset[r],
