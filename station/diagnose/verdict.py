@@ -50,7 +50,9 @@ def verdict(said: Stated, told: Odds, screened: Sequence[Screened], is_noise: bo
                 plain[one.candidate.key] = max(plain.get(one.candidate.key, 0.0), one.information)
         seen = sum(value > VISIBLE for value in plain.values())
         return "nothing_missing" if seen >= 0.5 * len(plain) else "not_enough_data"
-    if not is_noise and (helped is None or helped <= HELPS):
+    if not is_noise and (said.ambiguous or helped is None or helped <= HELPS):
+        # Where more than noise is left something that no hypothesis holds is at work, too, and what few resamples name
+        # may stand in for it.
         return "unexplained"
     if said.ambiguous:
         return "ambiguous"
