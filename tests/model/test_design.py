@@ -23,7 +23,7 @@ def step_run(gain: float, rows: int = 600) -> Run:
 
 
 def test_proportional_loop_is_the_simulated_loop_with_the_same_hold():
-    rig, run = load_rig("sflr"), step_run(2.0)
+    rig, run = load_rig("sflr").meshed(), step_run(2.0)
     loop = proportional_loop(sampled(rig), 2.0)
     found = control.forced_response(loop, run.t, run.reference).outputs
     wanted = simulate(rig, run, rounding=False, start_angle=0.0)

@@ -47,7 +47,7 @@ def test_the_hold_and_its_aliases_matter():
 
 @pytest.mark.parametrize("missing", [(), ("drive", "clamp")])
 def test_estimate_from_a_simulated_run_is_the_model_response(missing):
-    rig, run = load_rig("sflr").model_copy(update=dict.fromkeys(missing)), noise_run()
+    rig, run = load_rig("sflr").model_copy(update=dict.fromkeys(missing)).meshed(), noise_run()
     made = simulate(rig, run, rounding=False, start_angle=0.0)
     found = measured_response(replace(run, encoder=made.encoder, accel=made.accel))
     band = (found.frequency > 3.0) & (found.frequency < 100.0)
@@ -95,7 +95,7 @@ def test_bode_figure_shows_both_sensors_both_models_and_the_measurement():
     assert {line.get_label() for line in magnitude.lines} == {"finite elements", "transfer matrices"}
     assert [points.get_label() for points in magnitude.collections] == ["measured"]
     fem = next(line for line in magnitude.lines if line.get_label() == "finite elements")
-    wanted = finite_element_response(rig, fem.get_xdata())
+    wanted = finite_element_response(rig.meshed(), fem.get_xdata())
     np.testing.assert_allclose(fem.get_ydata(), 20 * np.log10(np.abs(wanted.encoder)))
     assert phase.get_ylabel() == "phase, deg" and coherence.get_ylim()[1] > 1.0
     assert np.abs(np.diff(phase.lines[0].get_ydata())).max() < 180.0, "unwrapped"
