@@ -35,7 +35,8 @@ def folder(tmp_path):
 
 @pytest.mark.parametrize(("asked", "names"), [
     ({}, {"a", "b", "c", "bad"}), ({"rig": "sflr"}, {"a", "c"}), ({"kind": "step"}, {"a", "b"}),
-    ({"controller": "unknown"}, {"b"}), ({"tag": "good"}, {"a"}), ({"plan": "day"}, {"a"}), ({"plan": "day.0123"}, {"a"}),
+    ({"controller": "unknown"}, {"b"}), ({"tag": "good"}, {"a"}), ({"plan": "day"}, {"a"}),
+    ({"plan": "day.0123"}, {"a"}),
     ({"since": "2026-03-31"}, {"b", "c"}), ({"until": "2026-03-31"}, {"a", "b"}),
     ({"since": "2026-03-31", "until": "2026-03-31"}, {"b"}), ({"rig": "sflr", "kind": "step"}, {"a"}),
     ({"tag": "bad"}, set())])
