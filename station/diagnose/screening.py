@@ -16,7 +16,7 @@ import numpy as np
 from station.diagnose.candidates import Candidate
 from station.estimation.least_squares import Fit
 from station.estimation.likelihood import block_scale
-from station.estimation.parameters import Hypothesis, Sizes, parameters
+from station.estimation.parameters import Parameters, Sizes, parameters
 from station.estimation.prediction import Predictor
 from station.model.effects import Stage
 
@@ -86,9 +86,8 @@ class _Eliminated:
         self.taken = [d[p:] @ e - parent.nuisance * away
                       for d, e, away in zip(self.derivatives, self.errors, parent.away, strict=True)]
 
-    def change(self, space_rig: tuple, size: int) -> list[np.ndarray] | None:
+    def change(self, space: Parameters, x: np.ndarray) -> list[np.ndarray] | None:
         """What a hypothesis at x changes in the weighed predictions, per run; None where it does not simulate."""
-        space, x = space_rig
         predicted = self.predictor.runs(space, x, self.parent.start, self.parent.offset)
         found = [((new - old) * s * root).ravel() for new, old, s, root in
                  zip(predicted, self.parent.predicted, self.scale, self.roots, strict=True)]
@@ -119,7 +118,7 @@ def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
         centres = {**parent.space.values(parent.space.mean), candidate.key: guess}
         space = parameters(predictor.data, hypothesis, centres)
         x = space.carried(parent.space, parent.x, {candidate.key: guess})
-        return known.change((space, x), parent.space.size)
+        return known.change(space, x)
 
     def tried(task: tuple[Candidate, dict[str, float]]) -> tuple[Screened, list[np.ndarray] | None]:
         candidate, guess = task
@@ -205,11 +204,3 @@ def _freed(predictor: Predictor, parent: Fit, candidate: Candidate, known: _Elim
     before = cost(base.precision, normal, slope, parent.x)
     after = cost(space.precision, transform.T @ normal @ transform, transform.T @ slope, x)
     return Screened(candidate, {}, max(before - after, 0.0), 1.0, float(np.trace(normal)))
-
-
-def hypothesis_of(parts: Sequence[Candidate]) -> Hypothesis:
-    """The causes together."""
-    total = Hypothesis()
-    for part in parts:
-        total = total + part.hypothesis
-    return total

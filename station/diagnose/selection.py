@@ -47,7 +47,7 @@ class Effort:
     pairs: int
     """Pairs of causes that are fitted on each rung."""
     rungs: int
-    """Most causes in one set."""
+    """Causes in a set from which on nothing is added to it; a pair on top of the set before may hold one more."""
 
 
 EFFORTS = {"quick": Effort(6, 2, 1, 2), "full": Effort(12, 4, 3, 3)}
@@ -179,8 +179,7 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], share: tuple[f
         if per_key.get(key, 0) < one.candidate.starts:
             per_key[key] = per_key.get(key, 0) + 1
             starts.append((one,))
-    if len(parent.key) + 2 <= effort.rungs + 1:
-        starts += [pair for pair in pairs[: effort.pairs] if pair[0].gain > WORTH_A_FIT]
+    starts += [pair for pair in pairs[: effort.pairs] if pair[0].gain > WORTH_A_FIT]
 
     def quick(start: tuple[Screened, ...]) -> Fit | None:
         return begun(predictor, parent, start, search.weighing)
