@@ -16,7 +16,7 @@ torque are traded off with each other: their ratios are determined, their common
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -80,3 +80,17 @@ def parameter_states(space: Parameters, covariance: np.ndarray, x: np.ndarray) -
         if not info.periodic and coordinate.to_value(x[k]) in (info.low, coordinate.high):
             bounded.append(k)
     return states(to_logs @ covariance @ to_logs.T, prior, bounded)
+
+
+def trades(names: Sequence[str], found: Sequence[ValueState]) -> list[str]:
+    """One line per pair of values that are traded off, each pair once."""
+    seen: set[frozenset[int]] = set()
+    lines = []
+    for i, value in enumerate(found):
+        pair = frozenset((i, value.partner)) if value.partner is not None else None
+        if pair is not None and pair not in seen:
+            seen.add(pair)
+            lines.append(f"{names[i]} is traded off against {names[value.partner]}"
+                         + (f"; the rig file holds {100.0 * value.share:.0f} % of its variance"
+                            if value.share > HALF else ""))
+    return lines
