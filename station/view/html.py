@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import jinja2
-from plotly.offline import get_plotlyjs
 from plotly.utils import PlotlyJSONEncoder
 
 from station.runs.files import new_file
 from station.view import wording
+
+PLOTLY = "plotly-basic.min.js"
+"""Plotly's basic bundle, which every page holds; plotly-basic.toml says where it comes from."""
 
 
 def render(template: str, *styles: str, **values: Any) -> str:
@@ -22,7 +24,7 @@ def render(template: str, *styles: str, **values: Any) -> str:
     ``styles`` are sheets beyond the one that all pages have.
     """
     css = "\n".join(map(_asset, ("report.css", *styles)))
-    return _environment().get_template(template).render(words=wording, plotly=get_plotlyjs(), css=css,
+    return _environment().get_template(template).render(words=wording, plotly=_asset(PLOTLY), css=css,
                                                         js=_asset("report.js"), **values)
 
 

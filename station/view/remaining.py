@@ -1,4 +1,8 @@
-"""What a simulation leaves unexplained: the residual's size, spectrum and whiteness."""
+"""What a simulation leaves unexplained: the residual's size, spectrum, whiteness and correlation with the command.
+
+The two tests are those of Ljung, System Identification (2nd ed., 1999), section 16.6, drawn as MATLAB's `resid` draws
+them: per lag, with the band that holds 99 % of what chance alone would give.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import signal, stats
+
+LAGS = 25
+"""Lags shown, as `resid` does."""
+BAND = float(stats.norm.ppf(0.995))
+"""Half width, standard deviations, of a band that holds 99 % of a Gaussian."""
 
 
 def nrmse(measured: np.ndarray, simulated: np.ndarray) -> float:
@@ -27,7 +36,7 @@ class Whiteness:
     lags: np.ndarray
     autocorrelation: np.ndarray
     bound: float
-    """95 % of a white residual's autocorrelations lie within ±bound."""
+    """99 % of a white residual's autocorrelations lie within ±bound."""
     p_value: float
     """Probability of a Ljung-Box statistic at least this large if the residual were white."""
 
@@ -36,15 +45,77 @@ class Whiteness:
         """Whether white noise is compatible with the residual at the 1 % level."""
         return self.p_value >= 0.01
 
+    @property
+    def outside(self) -> int:
+        """Lags outside the band."""
+        return int(np.count_nonzero(np.abs(self.autocorrelation) > self.bound))
 
-def whiteness(residual: np.ndarray, lags: int = 40) -> Whiteness:
-    """Test a residual for whiteness: Q = n(n+2) Σ ρ²/(n−k) against chi-square (Ljung and Box 1978)."""
+
+@dataclass(frozen=True)
+class Crossing:
+    """Correlation of a residual with the command that acted ``lag`` samples earlier."""
+
+    lags: np.ndarray
+    """From −LAGS to LAGS."""
+    correlation: np.ndarray
+    bound: float
+    """99 % of the correlations lie within ±bound where residual and command are independent."""
+
+    @property
+    def outside(self) -> int:
+        """Lags at which an earlier command still shows in the residual: physics that the simulation lacks."""
+        return int(np.count_nonzero(np.abs(self.correlation[self.lags > 0]) > self.bound))
+
+    @property
+    def asked(self) -> int:
+        """Lags that were asked, those of earlier commands."""
+        return int(np.count_nonzero(self.lags > 0))
+
+
+def whiteness(residual: np.ndarray, lags: int = LAGS) -> Whiteness:
+    """Test a residual (n) for whiteness.
+
+    ρ(k) = Σ ε(t) ε(t−k) / Σ ε²(t); √n ρ(k) is asymptotically N(0, 1) for white ε (Ljung 1999, section 16.6).  All lags
+    at once: Q = n(n+2) Σ ρ²(k)/(n−k) against chi-square (Ljung and Box, Biometrika 65, 1978).
+    """
     n = len(residual)
     lags = min(lags, max(n // 4, 1))
-    centred = residual - residual.mean()
+    places = np.arange(1, lags + 1)
+    rho = _autocorrelation(residual)[1 : lags + 1]
+    if not rho.any():
+        return Whiteness(places, np.zeros(lags), BAND / np.sqrt(n), 1.0)
+    q = n * (n + 2.0) * np.sum(rho**2 / (n - places))
+    return Whiteness(places, rho, BAND / np.sqrt(n), float(stats.chi2.sf(q, lags)))
+
+
+def command_correlation(residual: np.ndarray, command: np.ndarray, lags: int = LAGS) -> Crossing:
+    """Correlation of a residual (n) with the command (n), both about their means.
+
+    ρ(k) = Σ ε(t) u(t−k) / √(Σ ε² Σ u²).  Where ε is independent of u, √n ρ(k) is asymptotically N(0, P) with
+    P = Σ ρ_ε(j) ρ_u(j) over all lags j of either sign (Ljung 1999, section 16.6); ε need not be white.  The sum is
+    taken with Bartlett's window over a quarter of the run, and P not below 1, which white ε has.  At lags k ≤ 0 a
+    closed loop correlates the two by itself, for the command answers what was read.
+    """
+    n = len(residual)
+    lags = min(lags, max(n // 4, 1))
+    e, u = residual - residual.mean(), command - command.mean()
+    scale = float(np.sqrt((e @ e) * (u @ u)))
+    places = np.arange(-lags, lags + 1)
+    reach = max(n // 4, 1)
+    window = 1.0 - np.arange(1, reach) / reach
+    both = (_autocorrelation(e) * _autocorrelation(u))[1:reach]
+    variance = max(1.0 + 2.0 * float(window @ both), 1.0)
+    bound = BAND * float(np.sqrt(variance / n))
+    if scale == 0.0:
+        return Crossing(places, np.zeros(len(places)), bound)
+    full = signal.correlate(e, u, mode="full", method="fft") / scale
+    return Crossing(places, full[n - 1 - lags : n + lags], bound)
+
+
+def _autocorrelation(values: np.ndarray) -> np.ndarray:
+    """(n) at lags 0 to n − 1 about the mean; zero where the values never change."""
+    centred = values - values.mean()
     power = float(centred @ centred)
     if power == 0.0:
-        return Whiteness(np.arange(1, lags + 1), np.zeros(lags), 1.96 / np.sqrt(n), 1.0)
-    rho = np.array([centred[k:] @ centred[:-k] for k in range(1, lags + 1)]) / power
-    q = n * (n + 2.0) * np.sum(rho**2 / (n - np.arange(1, lags + 1)))
-    return Whiteness(np.arange(1, lags + 1), rho, 1.96 / np.sqrt(n), float(stats.chi2.sf(q, lags)))
+        return np.zeros(len(values))
+    return signal.correlate(centred, centred, mode="full", method="fft")[len(values) - 1 :] / power

@@ -1,0 +1,94 @@
+"""The residuals of the last section of a report: how far each sample lies from its prediction one sample ahead.
+
+They are the innovations of the observer that forgets an error of the angle within HORIZONS[0] seconds
+(station.estimation.observer), with the logged command: no controller enters, so that in a closed loop, too, an earlier
+command that still shows in them is physics that the rig lacks (the direct method, Ljung 1999, section 13.4).  Residuals
+of whole closed loops would not do: noise goes round the loop and comes back coloured though the rig be right.  Of an
+open integrator's whole run the drift would hide all else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from station.diagnose.result import DiagnosisResult
+from station.estimation.dataset import Dataset, dataset
+from station.estimation.observer import HORIZONS, Observer, observers
+from station.estimation.prediction import angle_that_reads, predict
+from station.model.simulate import Model, build
+from station.rig import Rig
+from station.runs.run import Run
+
+HORIZON = HORIZONS[0]
+"""Seconds after which the observer has forgotten an error."""
+CHANNELS = ("encoder", "accel")
+
+
+@dataclass(frozen=True)
+class Residual:
+    """One channel of one run, measured less predicted one sample ahead, counts, rows that were not logged left out."""
+
+    number: int
+    """The run's place in the report, from 1."""
+    run: Run
+    channel: str
+    before: np.ndarray
+    """(n) by the rig file as it is."""
+    after: np.ndarray
+    """(n) by the extended rig, or the re-fitted one where nothing was added."""
+    command: np.ndarray
+    """(n) counts, in force from each row on."""
+    noise: float
+    """Standard deviation of a reading, rounding included, counts."""
+
+
+def residuals(result: DiagnosisResult) -> list[Residual]:
+    """Of every run that can be predicted, angle first, in the report's order.
+
+    Left out: the second half of a run that is alone; a run whose encoder zero is not the first run's where an effect
+    refers to the angle; predictions that run away.
+    """
+    kept = _runs(result)
+    if not kept:
+        return []
+    data = dataset(result.rig, [run for _, run in kept])
+    observer, = observers(data.rig, data.noise[0], (HORIZON,))
+    models = [build(data.rig), build(_same_mesh(result.extended_rig, data.rig))]
+    found = []
+    for r, (number, run) in enumerate(kept):
+        errors = [_errors(data, model, observer, r) for model in models]
+        rows = data.logged[r]
+        if not all(np.all(np.isfinite(e)) for e in errors):
+            continue
+        for c, channel in enumerate(CHANNELS[: data.channels]):
+            found.append(Residual(number, run, channel, errors[0][c, rows], errors[1][c, rows], run.command[rows],
+                                  float(data.sigma[c])))
+    return found
+
+
+def _runs(result: DiagnosisResult) -> Sequence[tuple[int, Run]]:
+    runs = [c.run for c in result.comparisons]
+    if len(runs) == 2 and runs[0].t is runs[1].t:
+        return [(1, runs[0])]
+    absolute = any(e.absolute is not None for rig in (result.rig, result.extended_rig) for e in rig.effects)
+    first = runs[0].metadata.zero_id if runs else None
+    return [(number, run) for number, run in enumerate(runs, start=1)
+            if number == 1 or not absolute or (first and run.metadata.zero_id == first)]
+
+
+def _same_mesh(rig: Rig, like: Rig) -> Rig:
+    """The rig with as many elements as another: an observer is made for one mesh."""
+    return rig if rig.beam is None or like.beam is None else rig.with_elements(like.beam.elements)
+
+
+def _errors(data: Dataset, model: Model, observer: Observer, r: int) -> np.ndarray:
+    """(2, n) measured less predicted, counts."""
+    run = data.runs[r]
+    predicted, _ = predict(model, observer, data.measured[r], np.ascontiguousarray(run.command, dtype=float),
+                           start_angle=angle_that_reads(model.rig, float(data.start[r]), 0.0),
+                           offset=float(data.offset[r]), equilibrium=run.metadata.start == "equilibrium",
+                           logged=data.logged[r])
+    return data.measured[r] - predicted
