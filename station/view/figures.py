@@ -16,10 +16,15 @@ from station.diagnose.result import DiagnosisResult, Evidence, Prediction, RunCo
 from station.model.simulate import Simulation
 from station.view import remaining
 from station.view.labels import place_labels
+from station.view.residuals import Residual
 from station.view.wording import CHANNELS
 
 MAX_POINTS = 4000
-"""Points per drawn line; longer ones keep the extremes of each stretch."""
+"""Points of a line that stands alone; longer ones keep the extremes of each stretch."""
+BUDGET = 1_100_000
+"""Characters that the lines of all runs may take together, so that a report stays below 3 MB with its script."""
+LEAST = 200
+"""Points that every line of a run has, however many runs there are."""
 
 ROLES = {"measured": ("measured", "solid", 4.5), "before": ("before", "dash", 2.0),
          "refit": ("re-fitted", "solid", 1.4), "after": ("after", "solid", 1.6)}
@@ -28,6 +33,8 @@ _LABELS = {"before": "simulated before", "measured": "measured", "after": "simul
            "refit": "simulated, re-fitted", "reference": "reference"}
 _UNITS = {"encoder": "encoder counts", "accel": "accelerometer counts"}
 _SPECTRAL_KINDS = {"spectrum", "frequency", "bode"}
+_POINT = 8
+"""Characters of a point: six bytes, in base 64."""
 _LINE_KINDS = {"line", "time", "spectrum"}
 
 
@@ -79,7 +86,13 @@ def hero(comparison: RunComparison, channel: str) -> go.Figure:
     return figure
 
 
-def run_figure(comparison: RunComparison) -> go.Figure:
+def points_per_line(comparisons: list[RunComparison]) -> int:
+    """Points that a line of a run may have: all lines of all runs share BUDGET."""
+    lines = sum(len(channels(c)) * (1 + 2 * len(simulations(c))) for c in comparisons)
+    return max(LEAST, BUDGET // (_POINT * max(lines, 1)))
+
+
+def run_figure(comparison: RunComparison, limit: int = MAX_POINTS) -> go.Figure:
     """One run: each channel measured and simulated, and under it the residual before and after."""
     run, names = comparison.run, channels(comparison)
     titles = [title for c in names for title in (f"{CHANNELS[c]}, {_UNITS[c]}", f"{CHANNELS[c]}: measured − simulated")]
@@ -89,14 +102,14 @@ def run_figure(comparison: RunComparison) -> go.Figure:
     for index, channel in enumerate(names):
         measured = getattr(run, channel)
         name, dash, width = ROLES["measured"]
-        figure.add_trace(_line(run.t, measured, "measured", name, dash, width, legend=index == 0),
+        figure.add_trace(_line(run.t, measured, "measured", name, dash, width, legend=index == 0, limit=limit),
                          row=2 * index + 1, col=1)
         for role, simulation in simulations(comparison).items():
             name, dash, width = ROLES[role]
             simulated = getattr(simulation, channel)
-            figure.add_trace(_line(run.t, simulated, role, name, dash, width, legend=index == 0),
+            figure.add_trace(_line(run.t, simulated, role, name, dash, width, legend=index == 0, limit=limit),
                              row=2 * index + 1, col=1)
-            figure.add_trace(_line(run.t, measured - simulated, role, name, dash, 1.2, legend=False),
+            figure.add_trace(_line(run.t, measured - simulated, role, name, dash, 1.2, legend=False, limit=limit),
                              row=2 * index + 2, col=1)
     figure.update_xaxes(range=[float(run.t[0]), float(run.t[-1])])
     figure.update_xaxes(title_text="time (s)", row=len(titles), col=1)
@@ -155,58 +168,77 @@ def prediction_figure(prediction: Prediction) -> go.Figure:
     return figure
 
 
-def spectrum_figure(comparisons: list[RunComparison]) -> go.Figure:
-    """Residual spectra averaged over the runs, before and after, with the encoder's rounding beside them."""
-    names = _common_channels(comparisons)
-    figure = make_subplots(rows=len(names), cols=1, vertical_spacing=0.16,
-                           subplot_titles=[f"{CHANNELS[c]} residual, counts/√Hz" for c in names])
-    _plain(figure, hovermode="closest")
+def spectrum_figure(found: list[Residual], rate: float) -> go.Figure:
+    """Spectra of the residuals averaged over the runs, before and after, with what the sensor's noise alone has.
+
+    ``rate``: samples per second.
+    """
+    names = _channels_of(found)
+    figure = _panels([f"{CHANNELS[c]} residual, counts/√Hz" for c in names])
     for row, channel in enumerate(names, start=1):
-        for role in simulations(comparisons[0]):
-            frequency, density = _mean_density(comparisons, channel, role)
+        these = [r for r in found if r.channel == channel]
+        for role in ("before", "after"):
+            frequency, density = _mean_density([getattr(r, role) for r in these], rate)
             name, dash, width = ROLES[role]
             figure.add_trace(_line(frequency, density, role, name, dash, width, legend=row == 1, group=role,
                                    hover="%{x:.3g} Hz, %{y:.3g}"), row=row, col=1)
-        rate = comparisons[0].run.sample_rate
-        figure.add_trace(_line(frequency, np.full(len(frequency), np.sqrt(1.0 / 12.0 / (rate / 2.0))), "bound",
-                               "rounding alone", "dot", 1.5, legend=row == 1, group="bound",
-                               hover="%{y:.3g}"), row=row, col=1)
+        white = np.full(len(frequency), these[0].noise / np.sqrt(rate / 2.0))
+        figure.add_trace(_line(frequency, white, "bound", "noise and rounding alone", "dot", 1.5, legend=row == 1,
+                               group="bound", hover="%{y:.3g}"), row=row, col=1)
     _log_x(figure, frequency)
     figure.update_yaxes(type="log", exponentformat="none", dtick=1)
     figure.update_xaxes(title_text="frequency (Hz)", row=len(names), col=1)
     return figure
 
 
-def whiteness_figure(comparisons: list[RunComparison]) -> go.Figure:
-    """Autocorrelation of the residual that remains, one line per run, between the bounds of white noise."""
-    names = _common_channels(comparisons)
-    figure = make_subplots(rows=len(names), cols=1, vertical_spacing=0.16,
-                           subplot_titles=[f"{CHANNELS[c]} residual: autocorrelation" for c in names])
-    _plain(figure, hovermode="closest")
+def whiteness_figure(found: list[Residual]) -> go.Figure:
+    """Autocorrelation of each residual by lag, one line per run, between the bounds of white noise.
+
+    The bounds are those of the shortest run.
+    """
+    names = _channels_of(found)
+    figure = _panels([f"{CHANNELS[c]} residual: autocorrelation" for c in names])
     for row, channel in enumerate(names, start=1):
-        bound = largest = 0.0
-        for number, comparison in enumerate(comparisons, start=1):
-            test = remaining.whiteness(residual(comparison, channel))
-            bound, largest = max(bound, test.bound), max(largest, float(np.abs(test.autocorrelation).max()))
-            figure.add_trace(go.Scatter(
-                x=test.lags, y=_floats(test.autocorrelation), mode="lines+markers", name=f"run {number}",
-                legendgroup=f"run {number}", showlegend=row == 1, meta={"role": "after"},
-                line={"width": 1}, marker={"size": 5, "symbol": (number - 1) % 30},
-                hovertemplate=f"run {number}, lag %{{x}}: %{{y:.2f}}<extra></extra>"), row=row, col=1)
-        edge = min(1.15 * max(largest, 3.0 * bound), 1.05)
-        figure.update_yaxes(range=[-edge, edge], row=row, col=1)
-        for sign in (1.0, -1.0):
-            figure.add_trace(_line(test.lags, np.full(len(test.lags), sign * bound), "bound", "95 % of white noise",
-                                   "dot", 1.5, legend=row == 1 and sign > 0, group="bound", hover="%{y:.2f}"),
-                             row=row, col=1)
+        tests = {r.number: remaining.whiteness(r.after) for r in found if r.channel == channel}
+        bound = max(t.bound for t in tests.values())
+        _by_lag(figure, row, {number: (t.lags, t.autocorrelation) for number, t in tests.items()}, bound,
+                "99 % of white noise")
     figure.update_xaxes(title_text="lag (samples)", row=len(names), col=1)
     return figure
 
 
-def residual(comparison: RunComparison, channel: str) -> np.ndarray:
-    """Measured minus the best simulation drawn: after, or re-fitted where nothing was added."""
-    best = comparison.after if comparison.after is not None else comparison.refit
-    return getattr(comparison.run, channel) - getattr(best, channel)
+def crossing_figure(found: list[Residual]) -> go.Figure:
+    """Correlation of each residual with the command by lag, as a multiple of that run's own 99 % band."""
+    names = _channels_of(found)
+    figure = _panels([f"{CHANNELS[c]} residual with the command: correlation over its band" for c in names])
+    for row, channel in enumerate(names, start=1):
+        tests = {r.number: remaining.command_correlation(r.after, r.command) for r in found if r.channel == channel}
+        _by_lag(figure, row, {number: (t.lags, t.correlation / t.bound) for number, t in tests.items()}, 1.0,
+                "99 % of chance")
+    figure.update_xaxes(title_text="samples by which the command came earlier", row=len(names), col=1)
+    return figure
+
+
+def _panels(titles: list[str]) -> go.Figure:
+    return _plain(make_subplots(rows=len(titles), cols=1, vertical_spacing=0.16, subplot_titles=titles),
+                  hovermode="closest")
+
+
+def _by_lag(figure: go.Figure, row: int, lines: dict[int, tuple[np.ndarray, np.ndarray]], bound: float,
+            name: str) -> None:
+    """One line per run against the lag, and the band at ± ``bound``."""
+    largest = max(float(np.abs(y).max()) for _, y in lines.values())
+    for number, (lags, y) in lines.items():
+        figure.add_trace(go.Scatter(
+            x=lags, y=_floats(y), mode="lines+markers", name=f"run {number}", legendgroup=f"run {number}",
+            showlegend=row == 1, meta={"role": "after"}, line={"width": 1},
+            marker={"size": 6, "symbol": (number - 1) % 30},
+            hovertemplate=f"run {number}, lag %{{x}}: %{{y:.2f}}<extra></extra>"), row=row, col=1)
+    edge = 1.15 * max(largest, 1.5 * bound)
+    figure.update_yaxes(range=[-edge, edge], row=row, col=1)
+    for sign in (1.0, -1.0):
+        figure.add_trace(_line(lags, np.full(len(lags), sign * bound), "bound", name, "dot", 1.5,
+                               legend=row == 1 and sign > 0, group="bound", hover="%{y:.2f}"), row=row, col=1)
 
 
 def hero_choice(result: DiagnosisResult) -> tuple[RunComparison, str] | None:
@@ -227,16 +259,15 @@ def hero_choice(result: DiagnosisResult) -> tuple[RunComparison, str] | None:
     return max(candidates, key=error), "encoder"
 
 
-def _common_channels(comparisons: list[RunComparison]) -> list[str]:
-    return [c for c in CHANNELS if all(c in channels(comparison) for comparison in comparisons)]
+def _channels_of(found: list[Residual]) -> list[str]:
+    return [c for c in CHANNELS if any(r.channel == c for r in found)]
 
 
-def _mean_density(comparisons: list[RunComparison], channel: str, role: str) -> tuple[np.ndarray, np.ndarray]:
-    shortest = min(len(c.run.t) for c in comparisons)
+def _mean_density(errors: list[np.ndarray], rate: float) -> tuple[np.ndarray, np.ndarray]:
+    shortest = min(map(len, errors))
     powers = []
-    for comparison in comparisons:
-        error = getattr(comparison.run, channel) - getattr(simulations(comparison)[role], channel)
-        frequency, density = remaining.amplitude_density(error, comparison.run.sample_rate, min(512, shortest))
+    for error in errors:
+        frequency, density = remaining.amplitude_density(error, rate, min(512, shortest))
         powers.append(density**2)
     return frequency, np.sqrt(np.mean(powers, axis=0))
 
@@ -275,11 +306,28 @@ def _label_lines(figure: go.Figure, t: np.ndarray, lines: dict[str, np.ndarray])
 
 
 def _line(x: np.ndarray, y: np.ndarray, role: str, name: str, dash: str, width: float, *, legend: bool = True,
-          group: str | None = None, hover: str = "%{y:.1f}") -> go.Scatter:
-    x, y = thin(np.asarray(x, float), np.asarray(y, float))
-    return go.Scatter(x=_floats(x), y=_floats(y), mode="lines", name=name, legendgroup=group or role,
-                      showlegend=legend, meta={"role": role}, line={"dash": dash, "width": width},
-                      hovertemplate=hover)
+          group: str | None = None, hover: str = "%{y:.1f}", limit: int = MAX_POINTS) -> go.Scatter:
+    """A line; where it stands at even places these are not written, and whole numbers take two bytes."""
+    x, y = np.asarray(x, float), np.asarray(y, float)
+    if len(y) > limit * (3 if _even(x) else 1):
+        x, y = thin(x, y, limit)
+    places = {"x0": float(x[0]), "dx": float((x[-1] - x[0]) / (len(x) - 1))} if _even(x) else {"x": _floats(x)}
+    return go.Scatter(**places, y=_short(y), mode="lines", name=name, legendgroup=group or role, showlegend=legend,
+                      meta={"role": role}, line={"dash": dash, "width": width}, hovertemplate=hover)
+
+
+def _even(x: np.ndarray) -> bool:
+    """Whether x rises in equal steps."""
+    if len(x) < 3:
+        return False
+    steps = np.diff(x)
+    return bool(steps[0] > 0.0 and np.all(np.abs(steps - steps.mean()) < 1e-6 * steps.mean()))
+
+
+def _short(values: np.ndarray) -> np.ndarray:
+    """As 16-bit integers where that loses nothing, else as 32-bit floats."""
+    whole = np.all(np.isfinite(values)) and np.all(values == np.round(values)) and np.all(np.abs(values) < 2**15)
+    return values.astype(np.int16) if whole else _floats(values)
 
 
 def _floats(values: np.ndarray) -> np.ndarray:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import difflib
+import hashlib
 import math
 import platform
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -13,13 +15,20 @@ from typing import Any
 import plotly.graph_objects as go
 
 import station
-from station.diagnose.result import DiagnosisResult, Estimate, RunComparison
+from station.diagnose.odds import RESAMPLES, SEED
+from station.diagnose.result import Cause, DiagnosisResult, Estimate, Evidence, RunComparison
+from station.diagnose.thresholds import STABLE
 from station.diagnose.validation import UNKNOWN_AHEAD
 from station.view import figures, remaining, wording
 from station.view.html import render, script_json, write_page
+from station.view.residuals import HORIZON, residuals
 
-MAX_RANKED = 12
-"""Rivals shown in the ranking; the rest are counted."""
+FIRST_RANKED, MAX_RANKED = 6, 20
+"""Rivals shown at once, and with those that are folded away; the rest are counted."""
+SECTIONS = {"wrong": "What is wrong", "cause": "The cause", "rivals": "Rivals", "parameters": "Parameters",
+            "gains": "Gain, run by run", "stability": "Stability", "remains": "What remains",
+            "next": "Next experiment", "how": "How it was computed"}
+"""The list of contents: anchors and titles in the page's order."""
 _LIBRARIES = ("numpy", "scipy", "numba", "control", "plotly")
 
 
@@ -28,9 +37,12 @@ def write_report(result: DiagnosisResult, path: str | Path) -> None:
     write_page(path, report_html(result))
 
 
-def report_html(result: DiagnosisResult) -> str:
-    """The report's HTML, Plotly's script included; all text that comes from files is escaped."""
-    return render("report.html.j2", page=_Page(result))
+def report_html(result: DiagnosisResult, written: datetime | None = None) -> str:
+    """The report's HTML, Plotly's script included; all text that comes from files is escaped.
+
+    ``written``: the date that it states, by default now.
+    """
+    return render("report.html.j2", page=_Page(result, written or datetime.now(UTC)))
 
 
 @dataclass(frozen=True)
@@ -48,12 +60,24 @@ class GainRow:
 
 @dataclass(frozen=True)
 class WhiteRow:
-    """What remains of one channel of one run."""
+    """What remains of one channel of one run, one sample ahead."""
 
     run: int
     channel: str
     rms: float
+    noise: float
     test: remaining.Whiteness
+    crossing: remaining.Crossing
+
+    @property
+    def words(self) -> str:
+        """What it looks like."""
+        return wording.residual_words(self.rms, self.noise, self.test.white, self.crossing.outside)
+
+    @property
+    def larger(self) -> bool:
+        """Whether it is larger than noise."""
+        return self.rms > wording.LIKE_NOISE * self.noise
 
 
 @dataclass(frozen=True)
@@ -76,8 +100,11 @@ class ConstantRow:
 class _Page:
     """What the template asks for, in the order of the page; figures are kept by name until the script draws them."""
 
-    def __init__(self, result: DiagnosisResult) -> None:
+    def __init__(self, result: DiagnosisResult, written: datetime) -> None:
         self.result = result
+        self.written = written.astimezone(UTC)
+        self.sections = SECTIONS
+        self.residuals = residuals(result)
         self.diagnosis = result.diagnosis
         self.rig = result.rig
         self.version = station.__version__
@@ -88,12 +115,13 @@ class _Page:
             self._add("hero", figures.hero(*self.hero))
         for index, evidence in enumerate(result.evidence):
             self._add(f"evidence-{index}", figures.evidence_figure(evidence))
+        self.points = figures.points_per_line(result.comparisons)
         for index, comparison in enumerate(result.comparisons):
-            self._add(f"run-{index}", figures.run_figure(comparison))
-        if result.comparisons:
-            self._add("spectrum", figures.spectrum_figure(result.comparisons))
-            self._add("whiteness", figures.whiteness_figure(result.comparisons))
-
+            self._add(f"run-{index}", figures.run_figure(comparison, self.points))
+        if self.residuals:
+            self._add("spectrum", figures.spectrum_figure(self.residuals, result.rig.sample_rate))
+            self._add("whiteness", figures.whiteness_figure(self.residuals))
+            self._add("crossing", figures.crossing_figure(self.residuals))
         asked = self.diagnosis.next_experiment
         if result.prediction is not None and asked is not None and asked.test is not None:
             self._add("next", figures.prediction_figure(result.prediction))
@@ -161,6 +189,16 @@ class _Page:
         return any(c.after is not None for c in self.result.comparisons)
 
     @property
+    def evidence(self) -> tuple[list[tuple[int, Evidence]], list[tuple[int, Evidence]]]:
+        """The pictures with their numbers: those specific to the causes, and those that assume none.
+
+        The last is the torque that is missing without any cause; without causes the first is shown, the others folded.
+        """
+        numbered = list(enumerate(self.result.evidence))
+        first = len(numbered) - 1 if self.diagnosis.causes and len(numbered) > 1 else 1
+        return numbered[:first], numbered[first:]
+
+    @property
     def ranking(self) -> list[tuple[Any, str]]:
         """The candidates and why each stands where it does."""
         named = {(c.effect, c.at) for c in self.diagnosis.causes}
@@ -168,8 +206,29 @@ class _Page:
         return [(c, wording.why_lost(c, first, (c.effect, c.at) in named)) for c in self.result.ranking[:MAX_RANKED]]
 
     @property
+    def first_ranked(self) -> int:
+        """Candidates shown at once: at least the named ones, which stand first."""
+        return max(FIRST_RANKED, len(self.diagnosis.causes) + 2)
+
+    @property
     def ranking_left_out(self) -> int:
         return max(len(self.result.ranking) - MAX_RANKED, 0)
+
+    @property
+    def resampling(self) -> dict[str, Any]:
+        """How the data were drawn again."""
+        return {"draws": RESAMPLES, "seed": SEED, "asked": STABLE}
+
+    @staticmethod
+    def stands(cause: Cause) -> bool:
+        """Whether as many resamples name the cause as are asked for."""
+        return cause.stability >= STABLE
+
+    @property
+    def notes(self) -> tuple[list[str], list[str]]:
+        """What the diagnosis noted on resamples, and the rest."""
+        about = [note for note in self.result.notes if "resamples" in note]
+        return about, [note for note in self.result.notes if note not in about]
 
     @property
     def gain_rows(self) -> list[GainRow]:
@@ -191,13 +250,26 @@ class _Page:
 
     @property
     def white_rows(self) -> list[WhiteRow]:
-        rows = []
-        for number, c in enumerate(self.result.comparisons, start=1):
-            for channel in figures.channels(c):
-                error = figures.residual(c, channel)
-                rows.append(WhiteRow(number, wording.CHANNELS[channel], float(error.std()),
-                                     remaining.whiteness(error)))
-        return rows
+        return [WhiteRow(r.number, wording.CHANNELS[r.channel], float(r.after.std()), r.noise,
+                         remaining.whiteness(r.after), remaining.command_correlation(r.after, r.command))
+                for r in self.residuals]
+
+    @property
+    def remains(self) -> str:
+        """What is left, in a sentence."""
+        rows = self.white_rows
+        return wording.remains_sentence(self.diagnosis, sum(row.larger for row in rows), len(rows))
+
+    @property
+    def horizon(self) -> float:
+        """Seconds after which the observer of the residuals has forgotten an error."""
+        return HORIZON
+
+    @property
+    def unpredicted(self) -> list[int]:
+        """Numbers of the runs that have no residual one sample ahead."""
+        told = {r.number for r in self.residuals}
+        return [n for n in range(1, len(self.result.comparisons) + 1) if n not in told]
 
     @property
     def constant_rows(self) -> list[ConstantRow]:
@@ -210,7 +282,7 @@ class _Page:
     @property
     def panels(self) -> int:
         """Channels drawn in the figures of what remains."""
-        return max((len(figures.channels(c)) for c in self.result.comparisons), default=1)
+        return len({r.channel for r in self.residuals})
 
     @staticmethod
     def clip(sigmas: float) -> float:
@@ -233,6 +305,16 @@ class _Page:
         lines = difflib.unified_diff(self.rig.to_toml().splitlines(), self.result.extended_rig.to_toml().splitlines(),
                                      n=1, lineterm="")
         return [(line[:1], line) for line in lines if not line.startswith(("---", "+++"))]
+
+    @property
+    def rig_file(self) -> str:
+        """The rig as it was taken."""
+        return self.rig.to_toml()
+
+    @property
+    def rig_hash(self) -> str:
+        """SHA-256 of that text."""
+        return hashlib.sha256(self.rig_file.encode()).hexdigest()
 
     @property
     def versions(self) -> str:
@@ -266,7 +348,8 @@ class _Page:
     def describe(comparison: RunComparison) -> dict[str, str]:
         """How a run was made, in words."""
         run, facts = comparison.run, comparison.run.metadata
-        return {"test": wording.test_words(facts.test), "controller": wording.test_words(facts.controller),
+        return {"began": str(facts.entries().get("began") or "")[:16].replace("T", " "),
+                "test": wording.test_words(facts.test), "controller": wording.test_words(facts.controller),
                 "samples": f"{len(run.t)} at {run.sample_rate:.0f} Hz", "start": facts.start,
                 "use": ("held out" if comparison.held_out else "used in the fit")
                 + (f", predicted {UNKNOWN_AHEAD:g} s ahead" if wording.is_predicted(run) else "")}

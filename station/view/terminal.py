@@ -50,9 +50,8 @@ def print_diagnosis(result: DiagnosisResult, console: Console, rig: str = "RIG")
     _print_ahead(found, console)
     if missing := wording.disturbance(found):
         console.print(_plain(missing))
-    if found.gain.explained_fraction is not None and found.causes:
-        gone = f"{wording.explained(found)} of the error above the noise is gone on runs that no fit has seen"
-        console.print(wording.sentence(gone))
+    if gone := wording.gone(found):
+        console.print(wording.sentence(f"on runs that no fit has seen, {gone}"))
     if found.next_experiment is not None:
         for line in f"Next: {wording.next_test(found.next_experiment, rig=rig)}".splitlines():
             console.print(_plain(line), soft_wrap=True)

@@ -32,6 +32,9 @@ STATES = {"determined": "determined by these runs", "at_bound": "at a bound",
           "traded_off": "known only together with another",
           "not_excited": "not told by these runs; known only as it was beforehand"}
 
+LIKE_NOISE = 1.1
+"""Times the standard deviation of a reading up to which a residual is no larger than noise: a tenth more."""
+
 _PREFIX = "parameter:"
 _INSIDE = {"drive", "clamp", "accelerometer", "encoder", "clock", "amplifier"}
 # measure: (words, factor, unit)
@@ -152,8 +155,11 @@ def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
     """The verdict as one plain sentence for a student."""
     causes = diagnosis.causes
     if diagnosis.verdict in ("explained", "partly_explained") and causes:
+        fraction = diagnosis.gain.explained_fraction
+        closer = ("it comes closer on the whole" if fraction is None or fraction > 0.0 else
+                  "its predictions come closer, though whole runs do not")
         ends = {"explained": "only noise and the rig's stated uncertainty remain",
-                "partly_explained": "it comes closer on the whole, but more than noise remains"}
+                "partly_explained": f"{closer}, and more than noise remains"}
         return f"The simulation {_accusation(causes, rig)}; with that put right, {ends[diagnosis.verdict]}."
     if diagnosis.verdict == "ambiguous" and causes:
         first = next((c for c in causes if c.rivals), causes[0])
@@ -256,15 +262,56 @@ def sentence(text: str) -> str:
     return f"{text[:1].upper()}{text[1:].rstrip('.')}."
 
 
-def explained(diagnosis: Diagnosis) -> str:
-    """How much of the error above the noise is gone: ``93 %``, ``all`` (a fraction may exceed 1), ``none``.
+def gone(diagnosis: Diagnosis) -> str:
+    """How much of the error above the noise the causes take away on unseen runs, as a clause; empty where nothing says.
 
-    A remainder too small to change the error by a half percent may still stand out of the noise: ``nearly all``.
+    It never says more or less than the verdict: a remainder too small to change the error by a half percent may stand
+    out of the noise, and one of a few percent may be no more than what a fit without the judged run leaves uncertain.
     """
-    fraction = diagnosis.gain.explained_fraction or 0.0
+    fraction = diagnosis.gain.explained_fraction
+    if fraction is None or not diagnosis.causes:
+        return ""
+    noise = leaves_noise(diagnosis)
+    uncertain = "what a fit leaves uncertain that has not seen the run"
+    if fraction <= 0.0:
+        return f"the error of whole runs is not smaller{f', for {uncertain} outweighs the gain' if noise else ''}"
     if fraction >= 0.995:
-        return "nearly all" if diagnosis.verdict == "partly_explained" else "all"
-    return "none" if fraction <= 0.0 else percent(fraction)
+        return f"{'all' if noise else 'nearly all'} of the error above the noise is gone"
+    return f"{percent(fraction)} of the error above the noise is gone{f'; the rest is {uncertain}' if noise else ''}"
+
+
+def leaves_noise(diagnosis: Diagnosis) -> bool:
+    """Whether the verdict says that what is left, over whole runs, is noise and stated uncertainty."""
+    return diagnosis.verdict not in ("partly_explained", "unexplained")
+
+
+def residual_words(scatter: float, noise: float, white: bool, followed: int) -> str:
+    """What a residual one sample ahead looks like.
+
+    ``scatter`` and ``noise``: its standard deviation and that of a reading, counts; ``white``: whether its lags pass
+    for white noise; ``followed``: the lags at which an earlier command shows.
+    """
+    if scatter <= LIKE_NOISE * noise:
+        return "noise" if white and not followed else "no larger than the noise"
+    return f"more than noise{', and it follows the command' if followed else ''}"
+
+
+def remains_sentence(diagnosis: Diagnosis, larger: int, of: int) -> str:
+    """What is left over whole runs, as the verdict has it, and one sample ahead: ``larger`` residuals of ``of``."""
+    ahead = f"one sample ahead {larger} of {of} residuals are larger than the sensors' noise"
+    if leaves_noise(diagnosis):
+        whole = ("Over whole runs, by which the verdict judges, what is left is noise"
+                 f"{' and stated uncertainty' if diagnosis.verdict != 'not_enough_data' else ''}")
+        return f"{whole}; {ahead}." if larger else f"{whole}, and so it is one sample ahead."
+    whole = "Over whole runs, by which the verdict judges, more than noise is left"
+    return f"{whole}; {ahead}." if larger else f"{whole}; one sample ahead it does not show."
+
+
+def no_test(diagnosis: Diagnosis) -> str:
+    """Why no next experiment is named."""
+    if diagnosis.verdict in ("explained", "nothing_missing"):
+        return "None is needed for this verdict."
+    return "None was worked out."
 
 
 def gain_rows(diagnosis: Diagnosis) -> list[tuple[str, ChannelGain]]:

@@ -43,16 +43,33 @@
       .then(() => { place.dataset.drawn = "yes"; });
   }
 
-  const drawAll = () => Promise.all(places.map(draw));
   const breathe = () => new Promise((done) => setTimeout(done, 0));
+  const folded = (place) => place.closest("details:not([open])") !== null;
+  const drawAll = () => Promise.all(places.filter((place) => place.dataset.drawn).map(draw));
 
   (async () => {
     for (const place of places) {
+      if (folded(place)) continue;  // drawn when it is opened: it has no width before
       await draw(place);
       await breathe();
     }
     document.documentElement.dataset.figures = "drawn";
   })();
+
+  for (const part of document.querySelectorAll("details")) {
+    part.addEventListener("toggle", () => {
+      for (const place of part.querySelectorAll("[data-figure]")) {
+        if (!place.dataset.drawn && !folded(place)) draw(place);
+      }
+    });
+  }
+
+  function unfold(anchor) {
+    const part = anchor.length > 1 && document.getElementById(anchor.slice(1))?.closest("details");
+    if (part) part.open = true;
+  }
+  addEventListener("hashchange", () => unfold(location.hash));
+  unfold(location.hash);
 
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawAll);
   matchMedia("print").addEventListener("change", () => {
@@ -63,6 +80,7 @@
   addEventListener("beforeprint", () => {
     opened = [...document.querySelectorAll("details:not([open])")];
     for (const part of opened) part.open = true;
+    for (const place of places) if (!place.dataset.drawn) draw(place);
   });
   addEventListener("afterprint", () => {
     for (const part of opened) part.open = false;
