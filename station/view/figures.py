@@ -17,7 +17,7 @@ from station.model.simulate import Simulation
 from station.view import remaining
 from station.view.labels import place_labels
 from station.view.residuals import Residual
-from station.view.wording import CHANNELS
+from station.view.wording import CHANNELS, plain
 
 MAX_POINTS = 4000
 """Points of a line that stands alone; longer ones keep the extremes of each stretch."""
@@ -35,6 +35,9 @@ _UNITS = {"encoder": "encoder counts", "accel": "accelerometer counts"}
 _SPECTRAL_KINDS = {"spectrum", "frequency", "bode"}
 _POINT = 8
 """Characters of a point: six bytes, in base 64."""
+_LAW_KINDS = {"speed", "angle", "load", "command"}
+MANY = 300
+"""Points from which on a picture shows their medians."""
 _LINE_KINDS = {"line", "time", "spectrum"}
 
 
@@ -123,7 +126,7 @@ def evidence_figure(evidence: Evidence) -> go.Figure:
     if evidence.kind in _LINE_KINDS:
         figure.add_trace(_line(x, y, "measured", "measured", "solid", 1.6))
     else:
-        many = len(x) > 300
+        many = len(x) > MANY
         figure.add_trace(go.Scatter(x=_floats(x), y=_floats(y), mode="markers", name="measured",
                                     meta={"role": "points"}, opacity=0.35 if many else 0.9,
                                     marker={"size": 4 if many else 7, "symbol": "circle"},
@@ -149,6 +152,18 @@ def evidence_figure(evidence: Evidence) -> go.Figure:
     return figure
 
 
+def law_share(evidence: Evidence) -> float | None:
+    """By which factor the law of a picture fits the medians of its points best (least squares); 1 where they agree.
+
+    None where points are few or the law is no torque or command that vanishes at rest.
+    """
+    if evidence.kind not in _LAW_KINDS or evidence.law_x is None or evidence.law_y is None or len(evidence.x) <= MANY:
+        return None
+    centre, middle, _, _ = _binned(np.asarray(evidence.x, float), np.asarray(evidence.y, float))
+    law = np.interp(centre, evidence.law_x, evidence.law_y)
+    return float(law @ middle / (law @ law)) if law.any() else None
+
+
 def prediction_figure(prediction: Prediction) -> go.Figure:
     """What two rivals predict of a test that has not been run: each channel, and under it how far they differ."""
     pairs = {"encoder": prediction.encoder} | ({"accel": prediction.accel} if prediction.accel is not None else {})
@@ -159,7 +174,7 @@ def prediction_figure(prediction: Prediction) -> go.Figure:
     looks = (("after", "solid", 2.4), ("before", "dash", 2.0))
     for index, pair in enumerate(pairs.values()):
         for name, (role, dash, width), values in zip(prediction.names, looks, pair, strict=True):
-            figure.add_trace(_line(prediction.t, values, role, escape(name), dash, width, legend=index == 0),
+            figure.add_trace(_line(prediction.t, values, role, escape(plain(name)), dash, width, legend=index == 0),
                              row=2 * index + 1, col=1)
         figure.add_trace(_line(prediction.t, pair[0] - pair[1], "law", "difference", "solid", 1.2, legend=False),
                          row=2 * index + 2, col=1)

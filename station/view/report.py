@@ -126,6 +126,20 @@ class _Page:
         if result.prediction is not None and asked is not None and asked.test is not None:
             self._add("next", figures.prediction_figure(result.prediction))
 
+    @property
+    def predicted_names(self) -> tuple[str, str] | None:
+        """The rivals that the figure of the next experiment shows, in words."""
+        found = self.result.prediction
+        return None if found is None else (wording.plain(found.names[0]), wording.plain(found.names[1]))
+
+    @staticmethod
+    def agreement(evidence: Evidence) -> str:
+        """How the points of a picture bear out the law drawn through them, where that can be said by one number."""
+        share = figures.law_share(evidence)
+        if share is None:
+            return ""
+        return f"Fitted to the points' medians the law would have {wording.number(share, 2)} times its size."
+
     def _add(self, name: str, figure: go.Figure) -> None:
         self.figures[name] = figure
 
@@ -228,7 +242,8 @@ class _Page:
     def notes(self) -> tuple[list[str], list[str]]:
         """What the diagnosis noted on resamples, and the rest."""
         about = [note for note in self.result.notes if "resamples" in note]
-        return about, [note for note in self.result.notes if note not in about]
+        rest = [note for note in self.result.notes if note not in about]
+        return list(map(wording.plain, about)), list(map(wording.plain, rest))
 
     @property
     def gain_rows(self) -> list[GainRow]:

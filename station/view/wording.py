@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shlex
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -156,10 +157,10 @@ def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
     causes = diagnosis.causes
     if diagnosis.verdict in ("explained", "partly_explained") and causes:
         fraction = diagnosis.gain.explained_fraction
-        closer = ("it comes closer on the whole" if fraction is None or fraction > 0.0 else
-                  "its predictions come closer, though whole runs do not")
+        closer = ("it comes closer on the whole, but" if fraction is None or fraction > 0.0 else
+                  "its predictions come closer, whole runs do not, and")
         ends = {"explained": "only noise and the rig's stated uncertainty remain",
-                "partly_explained": f"{closer}, and more than noise remains"}
+                "partly_explained": f"{closer} more than noise remains"}
         return f"The simulation {_accusation(causes, rig)}; with that put right, {ends[diagnosis.verdict]}."
     if diagnosis.verdict == "ambiguous" and causes:
         first = next((c for c in causes if c.rivals), causes[0])
@@ -226,8 +227,15 @@ def test_words(test: dict[str, Any] | None) -> str:
     """A test in words: ``pulse, amplitude 60, duration 2.0``."""
     if not test:
         return "not stated"
-    rest = [f"{key.replace('_', ' ')} {value}" for key, value in test.items() if key != "kind"]
+    rest = [f"{key.replace('_', ' ')} {_short(value)}" for key, value in test.items() if key != "kind"]
     return ", ".join([str(test.get("kind", "test")), *rest])
+
+
+def _short(value: Any) -> str:
+    """A value of a test or controller: numbers with six digits, lists in brackets."""
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_short, value))}]"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def run_command(test: dict[str, Any], port: str = "PORT", rig: str = "RIG") -> str:
@@ -254,7 +262,15 @@ def run_command(test: dict[str, Any], port: str = "PORT", rig: str = "RIG") -> s
 def next_test(asked: NextExperiment, port: str = "PORT", rig: str = "RIG") -> str:
     """The next experiment as a sentence: the command to type, and why."""
     words = f"{run_command(asked.test, port, rig)}\n" if asked.test else ""
-    return f"{words}{sentence(asked.why)}"
+    return f"{words}{sentence(plain(asked.why))}"
+
+
+def plain(text: str) -> str:
+    """A diagnosis' own note with causes by their titles: ``dead_zone@amplifier`` is a dead zone in the amplifier."""
+    known = "|".join(sorted(map(re.escape, catalogue()), key=len, reverse=True))
+    text = re.sub(rf"\b({known})(?:@| at )(\w+)", lambda m: cause_title(m[1], m[2]), text)
+    text = re.sub(r"\bparameter:(\w+\.\w+)(?:@(?!\w))?", lambda m: cause_title(m[0].rstrip("@"), ""), text)
+    return text.replace("chi^2", "χ²")
 
 
 def sentence(text: str) -> str:
@@ -346,12 +362,14 @@ def disturbance(diagnosis: Diagnosis) -> str:
 
 def why_lost(cause: RankedCause, first: RankedCause | None, named: bool) -> str:
     """Why a candidate stands where it does: its own note, or what the numbers say."""
-    if cause.note:
-        return cause.note
     if named:
         return "named as a cause"
     if cause is first:
         return "most probable, but too few resamples name it or it does not help on unseen runs"
+    if cause.probability > 0.5:
+        return "may be there as well, but too few resamples name it"
+    if cause.note:
+        return plain(cause.note)
     if cause.held_out_gain is not None and cause.held_out_gain <= 0.0:
         return "does not help on unseen runs"
     if first is not None and first.delta_chi2 - cause.delta_chi2 > 4.0:
