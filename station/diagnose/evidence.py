@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +25,7 @@ from station.diagnose.missing import (
 )
 from station.diagnose.result import Evidence
 from station.model.effects import Effect, Stage, catalogue
+from station.model.modal import modal_form
 from station.model.simulate import Simulation, build, by_load, simulate_model
 from station.rig import Rig
 from station.runs.run import Run, RunMetadata
@@ -32,9 +33,18 @@ from station.runs.run import Run, RunMetadata
 POINTS = 2000
 """Most points in a picture."""
 BANDS = 40
-COHERENCE = 0.7
-"""Share of a band's power that must follow the simulated channel for the band to be drawn."""
+SPREAD = 0.1
+"""Largest standard error of a ratio in a band that is drawn, a share of its size: 0.9 dB, or 6 degrees."""
+FEWEST = 4
+"""Spectral lines, over all runs, that a band holds at least: fewer would look coherent by themselves."""
 _DELAYS = (Stage.INPUT_DELAY, Stage.ENCODER_DELAY, Stage.ACCEL_DELAY)
+
+
+@dataclass(frozen=True)
+class Contrast(Evidence):
+    """A picture that shows the rig without the cause as well, at the places of the law."""
+
+    without_y: np.ndarray | None = None
 
 
 class _Cause(NamedTuple):
@@ -95,7 +105,7 @@ def _cause(rig: Rig, extended: Rig, runs: list[Run], name: str, at: str) -> _Cau
         path = name.removeprefix("parameter:")
         if path not in rig.constants() or path not in extended.constants():
             return None
-        return _Cause(path, None, at, extended, extended.with_constants({path: rig.constants()[path]}), runs)
+        return _Cause(f"wrong {path}", None, at, extended, extended.with_constants({path: rig.constants()[path]}), runs)
     held = [e for e in extended.effects if (e.name, e.at) == (name, at)]
     if not held:
         return None
@@ -111,7 +121,7 @@ def _pictures(cause: _Cause) -> list[Evidence]:
     """Choose by the effect's own ``picture`` and by the stage at which it acts."""
     effect = cause.effect
     if effect is None:
-        return _frequency(cause, ("gain",))
+        return _modes(cause)
     torque = effect.stage in (Stage.TORQUE, Stage.FRICTION)
     if effect.stage is Stage.CLOCK:
         return _clock(cause) + _frequency(cause, ("gain",))
@@ -246,7 +256,8 @@ def _joint(cause: _Cause) -> list[Evidence]:
                       label, f"torque of the {at} over the same without play", angle[clear],
                       total[clear] / linear[clear], _running_median(angle[clear], share),
                       f"{source}, over what it would carry without play; rows with less than 5 % of the largest torque "
-                      "are left out. Line: the fitted law on the same motion, its median.")]
+                      "are left out. The smoothing rounds the edges of the gap and fills it in part. Line: the "
+                      "fitted law on the same motion, its median.")]
     grid = _grid(angle)
     doubt = ("" if at == "drive" else " The sensors tell this torque better than the wind-up, which is estimated "
              "towards that of a linear clamp: where the law is steep, points lie inside it.")
@@ -360,46 +371,89 @@ def _clock(cause: _Cause) -> list[Evidence]:
 def _frequency(cause: _Cause, quantities: tuple[str, ...]) -> list[Evidence]:
     """Measured over simulated response against frequency, in the channel on which the cause bears most."""
     best, most = None, -1.0
-    for channel in ("encoder", "accel"):
-        if channel == "accel" and (cause.extended.accelerometer is None or any(r.accel is None for r in cause.runs)):
-            continue
+    for channel in _channels(cause):
         pairs = [(_moves(getattr(_command_driven(cause.without, run), channel), channel),
                   _moves(getattr(_command_driven(cause.extended, run), channel), channel),
                   _moves(getattr(run, channel), channel)) for run in cause.runs]
         rate = cause.extended.sample_rate
-        frequency, measured, coherence = _transfer([(a, c) for a, _, c in pairs], rate)
+        frequency, measured, error = _transfer([(a, c) for a, _, c in pairs], rate)
         _, law, _ = _transfer([(a, b) for a, b, _ in pairs], rate)
-        clear = coherence >= COHERENCE
+        clear = error <= SPREAD
         weight = float(np.sum(np.abs(law[clear] - 1.0)))
         if weight > most and clear.sum() >= 3:
             best, most = (channel, frequency[clear], measured[clear], law[clear]), weight
     if best is None:
         return []
     channel, frequency, measured, law = best
-    sensor = {"encoder": "angle", "accel": "acceleration"}[channel]
+    sensor = _SENSORS[channel]
     pictures = []
     for quantity in quantities:
         if quantity == "gain":
             label, y, line = "measured over simulated (dB)", _decibel(measured), _decibel(law)
-            how = "Line: the extended rig over the same, estimated alike."
+            how, error = "Line: the extended rig over the same, estimated alike.", "0.9 dB"
         else:
-            label, y, line = "measured behind simulated (degrees)", _degrees(measured), _degrees(law)
-            how = "Line: the extended rig over the same, estimated alike."
+            label, y, line = "phase of measured over simulated (degrees)", _degrees(measured), _degrees(law)
+            how, error = "Line: the extended rig over the same, estimated alike.", "6 degrees"
             if cause.effect is not None and cause.effect.stage in _DELAYS:
                 line = -360.0 * frequency * next(iter(cause.effect.values().values()))
-                how = "Line: -360 degrees times frequency times the fitted delay."
+                how = "Below 0 the measured is late. Line: -360 degrees times frequency times the fitted delay."
         word = "Phase" if quantity == "phase" else "Size"
         pictures.append(Evidence(
             f"{word} of the measured {sensor} against the simulated, over frequency: {cause.title}", "frequency",
             "frequency (Hz)", label, frequency, y, frequency, line,
             f"Points: cross over power spectra of {_count(cause.runs)}, simulated from the logged command without "
-            f"this cause; bands whose coherence is below {COHERENCE} are left out. {how}"))
+            f"this cause; bands with a standard error above {error} are left out. {how}"))
     return pictures
+
+
+def _modes(cause: _Cause) -> list[Evidence]:
+    """What a wrong constant moves: the response to the command over frequency, measured and of both rigs."""
+    rate, best, most = cause.extended.sample_rate, None, -1.0
+    for channel in _channels(cause):
+        commands = [run.command - run.command[0] for run in cause.runs]
+        frequency, measured, error = _transfer(
+            [(u, _moves(getattr(run, channel), channel)) for u, run in zip(commands, cause.runs, strict=True)], rate)
+        with_it, without = (
+            _transfer([(u, _moves(getattr(_command_driven(rig, run), channel), channel))
+                       for u, run in zip(commands, cause.runs, strict=True)], rate)[1]
+            for rig in (cause.extended, cause.without))
+        clear = error <= SPREAD
+        weight = float(np.sum(np.abs(_decibel(with_it) - _decibel(without))[clear]))
+        if weight > most and clear.sum() >= 3:
+            best, most = (channel, frequency[clear], measured[clear], with_it[clear], without[clear]), weight
+    if best is None:
+        return []
+    channel, frequency, measured, with_it, without = best
+    sensor, unit = _SENSORS[channel], "counts per count" if channel == "accel" else "counts per sample and count"
+    moved = "; ".join(f"{a:.3g} Hz becomes {b:.3g} Hz" for a, b in
+                      zip(_resonances(cause.without), _resonances(cause.extended), strict=False))
+    modes = f" Modes below {0.25 * rate:g} Hz: {moved}." if moved else ""
+    return [Contrast(
+        f"Response of the {sensor} to the command, over frequency: {cause.title}", "frequency", "frequency (Hz)",
+        f"{sensor} over command (dB, {unit})", frequency, _decibel(measured), frequency, _decibel(with_it),
+        f"Points: cross over power spectra of {_count(cause.runs)}; bands with a standard error above 0.9 dB are left "
+        f"out. Lines: both rigs from the logged command, estimated alike.{modes}", _decibel(without))]
+
+
+_SENSORS = {"encoder": "angle", "accel": "acceleration"}
+
+
+def _channels(cause: _Cause) -> list[str]:
+    """The channels that the rig and all its runs have."""
+    lacks = cause.extended.accelerometer is None or any(r.accel is None for r in cause.runs)
+    return ["encoder"] if lacks else ["encoder", "accel"]
+
+
+def _resonances(rig: Rig) -> list[float]:
+    """Undamped frequencies (Hz) of the oscillating modes below a quarter of the sample rate, lowest first."""
+    values = modal_form(build(rig.with_effects([])).assembly).eigenvalues.ravel()
+    found = sorted({round(abs(v) / (2.0 * math.pi), 6) for v in values if abs(v.imag) > 1e-6 * abs(v)})
+    return [f for f in found if f < 0.25 * rig.sample_rate]
 
 
 def _moves(values: np.ndarray, channel: str) -> np.ndarray:
     """The angle by its changes, so that drift of an open integrator does not swamp it; the acceleration as it is."""
-    return np.diff(values) if channel == "encoder" else values - values[0]
+    return np.diff(values, prepend=values[0]) if channel == "encoder" else values - values[0]
 
 
 def _decibel(ratio: np.ndarray) -> np.ndarray:
@@ -411,9 +465,12 @@ def _degrees(ratio: np.ndarray) -> np.ndarray:
 
 
 def _transfer(pairs: Sequence[tuple[np.ndarray, np.ndarray]], rate: float) -> tuple[np.ndarray, ...]:
-    """Frequencies (Hz), transfer function H1 = Sxy/Sxx and coherence in logarithmic bands, summed over pairs (x, y).
+    """Frequencies (Hz), transfer function H1 = Sxy/Sxx and its relative standard error in bands, over pairs (x, y).
 
     Whole runs are transformed at once: most begin and end at rest, and a moving window would cut their transients.
+    Bands are logarithmic, and wider where they would hold fewer than FEWEST lines of all runs.  The error is
+    √((1 − γ²)/(2 n γ²)) of n lines with the coherence γ² (Bendat and Piersol, Random Data, 4th ed., 2010, section 9.2),
+    γ² freed of its bias 1/n.
     """
     longest = max(len(x) for x, _ in pairs)
     sums = np.zeros((3, longest // 2 + 1), dtype=complex)
@@ -422,16 +479,23 @@ def _transfer(pairs: Sequence[tuple[np.ndarray, np.ndarray]], rate: float) -> tu
             frequency, spectrum = signal.csd(a, b, rate, window=("tukey", 0.1), nperseg=len(x), nfft=longest,
                                              detrend=False)
             sums[row] += spectrum * len(x)
-    edges = np.geomspace(max(2.0 * rate / longest, 0.3), 0.3 * rate, BANDS + 1)
-    which = np.digitize(frequency, edges)
-    rows = []
-    for band in range(1, BANDS + 1):
-        inside = which == band
-        if np.count_nonzero(inside) < 3 or not sums[0, inside].real.sum() > 0.0:
-            continue
+    lines = sum(len(x) for x, _ in pairs) / longest
+    fewest = max(math.ceil(FEWEST / lines), 1)
+    ratio = (0.3 * longest) ** (1.0 / BANDS)
+    rows, first = [], 1
+    while frequency[first] < 0.3 * rate:
+        end = max(first + fewest, math.ceil(first * ratio))
+        inside = slice(first, end)
+        first = end
+        if end >= len(frequency) or not sums[0, inside].real.sum() > 0.0:
+            break
         xx, xy, yy = sums[:, inside].sum(axis=1)
-        power = np.abs(sums[0, inside])
+        power, n = np.abs(sums[0, inside]), lines * (inside.stop - inside.start)
+        raw = abs(xy) ** 2 / max(xx.real * yy.real, 1e-300)
+        coherence = max((raw * n - 1.0) / (n - 1.0), 1e-6)
         rows.append((np.sum(power * frequency[inside]) / power.sum(), xy / xx,
-                     abs(xy) ** 2 / max(xx.real * yy.real, 1e-300)))
-    frequencies, ratio, coherence = (np.array(column) for column in zip(*rows, strict=True))
-    return frequencies.real, ratio, coherence.real
+                     math.sqrt(max(1.0 - coherence, 0.0) / (2.0 * n * coherence))))
+    if not rows:
+        return np.zeros(0), np.zeros(0, dtype=complex), np.zeros(0)
+    frequencies, ratios, errors = (np.array(column) for column in zip(*rows, strict=True))
+    return frequencies.real, ratios, errors.real

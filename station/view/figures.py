@@ -12,6 +12,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from station.diagnose.evidence import Contrast
 from station.diagnose.result import DiagnosisResult, Evidence, Prediction, RunComparison
 from station.model.simulate import Simulation
 from station.view import remaining
@@ -139,9 +140,14 @@ def evidence_figure(evidence: Evidence) -> go.Figure:
                 error_y={"type": "data", "array": _floats(high - middle), "arrayminus": _floats(middle - low),
                          "thickness": 1.5, "width": 3}, hovertemplate="%{x:.4g}, %{y:.4g}<extra></extra>"))
             _trim(figure, y, evidence.law_y)
+    if isinstance(evidence, Contrast) and evidence.without_y is not None:
+        figure.add_trace(_line(evidence.law_x, evidence.without_y, "before", "without the cause", "dash", 2.0,
+                               hover="%{x:.4g}, %{y:.4g}"))
     if evidence.law_x is not None and evidence.law_y is not None:
+        name = "with the cause" if isinstance(evidence, Contrast) else "fitted law"
         figure.add_trace(go.Scatter(x=_floats(evidence.law_x), y=_floats(evidence.law_y), mode="lines",
-                                    name="fitted law", meta={"role": "law"}, line={"width": 3, "dash": "solid"},
+                                    name=name, meta={"role": "after" if isinstance(evidence, Contrast) else "law"},
+                                    line={"width": 3, "dash": "solid"},
                                     hovertemplate="%{x:.4g}, %{y:.4g}<extra></extra>"))
     figure.update_xaxes(title_text=escape(evidence.xlabel))
     figure.update_yaxes(title_text=escape(evidence.ylabel))

@@ -38,7 +38,7 @@ def print_diagnosis(result: DiagnosisResult, console: Console, rig: str = "RIG")
             if rest := wording.rest_sentence(cause):
                 console.print(_plain(f"{wording.cause_title(cause.effect, cause.at)}: {rest}"))
     for sentence in result.equivalences:
-        console.print(_plain(f"{sentence} No test can tell the two apart."))
+        console.print(_plain(f"{sentence} No test can tell them apart."))
     if result.ranking:
         named = {(c.effect, c.at) for c in found.causes}
         console.print(_table("Candidates", ["candidate", "probability", "2 Δln L", "gain", "why it stands here"], [

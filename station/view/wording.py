@@ -83,6 +83,8 @@ def probability(value: float) -> str:
         return "< 0.1 %"
     if value > 0.999:
         return "> 99.9 %"
+    if value > 0.99:
+        return f"{100.0 * value:.1f} %"
     return percent(value)
 
 
@@ -369,9 +371,18 @@ def why_lost(cause: RankedCause, first: RankedCause | None, named: bool) -> str:
     if cause.probability > 0.5:
         return "may be there as well, but too few resamples name it"
     if cause.note:
-        return plain(cause.note)
+        return _beside(cause, first)
     if cause.held_out_gain is not None and cause.held_out_gain <= 0.0:
         return "does not help on unseen runs"
     if first is not None and first.delta_chi2 - cause.delta_chi2 > 4.0:
         return f"explains less: 2 Δln L is {number(first.delta_chi2 - cause.delta_chi2)} below the first's"
     return "as good as the first on these runs" if cause.probability > 0.1 else "no better than the first"
+
+
+def _beside(cause: RankedCause, first: RankedCause | None) -> str:
+    """A candidate's note; where it was tried beside the first, also what it adds to that one."""
+    note = plain(cause.note)
+    if first is None or not note.startswith("as part of") or cause_title(first.effect, first.at) not in note:
+        return note
+    more = cause.delta_chi2 - first.delta_chi2
+    return f"{note}: adds {f'{number(more)} to 2 Δln L, too little' if more > 1.0 else 'nothing to 2 Δln L'}"

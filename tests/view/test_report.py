@@ -103,7 +103,7 @@ def test_a_run_whose_controller_is_unknown_is_said_to_be_predicted() -> None:
 def test_what_is_known_to_be_the_same_stands_beside_the_cause() -> None:
     same = "A late <command> is a late sensor."
     html = report_html(replace(made.result("ambiguous"), equivalences=[same]))
-    assert f"{same} No test can tell the two apart." in Page(html).text and same not in html
+    assert f"{same} No test can tell them apart." in Page(html).text and same not in html
     assert "No test can tell" not in Page(report_html(made.result("ambiguous"))).text
 
 
