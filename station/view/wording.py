@@ -290,12 +290,12 @@ def gone(diagnosis: Diagnosis) -> str:
     if fraction is None or not diagnosis.causes:
         return ""
     noise = leaves_noise(diagnosis)
-    uncertain = "what a fit leaves uncertain that has not seen the run"
     if fraction <= 0.0:
-        return f"the error of whole runs is not smaller{f', for {uncertain} outweighs the gain' if noise else ''}"
+        return f"the error of whole runs is not smaller{', within the uncertainty of the fits' if noise else ''}"
     if fraction >= 0.995:
         return f"{'all' if noise else 'nearly all'} of the error above the noise is gone"
-    return f"{percent(fraction)} of the error above the noise is gone{f'; the rest is {uncertain}' if noise else ''}"
+    rest = ", the rest within the uncertainty of the fits" if noise else ""
+    return f"{percent(fraction)} of the error above the noise is gone{rest}"
 
 
 def leaves_noise(diagnosis: Diagnosis) -> bool:

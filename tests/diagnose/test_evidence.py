@@ -6,7 +6,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from station.diagnose.evidence import POINTS, evidence
+from station.diagnose.evidence import POINTS, Contrast, evidence
 from station.diagnose.result import Evidence
 from station.model.effects import Effect, Stage, catalogue, effect_class
 from station.model.effects.base import parameter
@@ -85,7 +85,9 @@ def fit(picture: Evidence) -> float:
     if picture.kind == "speed" and "At rest" in picture.note:
         x, y = x[np.abs(picture.x) > 0.5], y[np.abs(picture.x) > 0.5]
     law, none = np.interp(x, picture.law_x, picture.law_y), np.zeros(len(x))
-    if picture.kind == "acceleration":
+    if isinstance(picture, Contrast):
+        none = picture.without_y
+    elif picture.kind == "acceleration":
         none = x
     elif "Share" in picture.title:
         none = np.ones(len(x))
@@ -121,13 +123,14 @@ def test_points_lie_on_the_effects_law_and_not_on_one_twice_as_large(key):
 
 
 @pytest.mark.parametrize("path", ["tip.mass", "motor.damping", "drive.damping", "accelerometer.gain"])
-def test_a_constant_that_is_off_moves_the_measured_over_the_nominal_response(path):
+def test_a_constant_that_is_off_moves_the_response_to_where_it_was_measured(path):
     value = 1.6 * RIG.constants()[path]
     runs = made([{"effect": f"parameter:{path}", "at": "", "value": value}])
     extended = RIG.with_constants({path: value})
     picture, _ = evidence(RIG, extended, runs, [(f"parameter:{path}", "")])
     assert picture.kind == "frequency" and path in picture.title and len(picture.x) > 5
     assert fit(picture) > 0.6
+    assert "Modes below" in picture.note and "Hz becomes" in picture.note
     opposite = RIG.with_constants({path: RIG.constants()[path] / 1.6})
     wrong, _ = evidence(RIG, opposite, runs, [(f"parameter:{path}", "")])
     assert fit(wrong) < 0.0

@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import signal
 
+from station.diagnose.evidence import Contrast
 from station.view import figures, remaining
 from station.view.labels import place_labels
 from tests.view import made
@@ -28,6 +30,67 @@ def test_nrmse_follows_its_definition() -> None:
     measured = np.array([0.0, 1.0, 2.0, 3.0])
     assert remaining.nrmse(measured, measured + 1.0) == pytest.approx(2.0 / np.sqrt(5.0))
     assert np.isnan(remaining.nrmse(np.ones(4), np.zeros(4)))
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.8])
+def test_a_residual_that_knows_nothing_of_the_command_stays_in_its_band_at_99_of_100_lags(colour: float) -> None:
+    """Also where both are slow, which a band of white noise would take for a connection."""
+    rng = np.random.default_rng(7)
+    outside, naive = [], []
+    for _ in range(300):
+        error, command = (signal.lfilter([1.0], [1.0, -pole], rng.normal(size=1000)) for pole in (colour, 0.95))
+        found = remaining.command_correlation(error, command)
+        outside.append(np.mean(np.abs(found.correlation) > found.bound))
+        naive.append(np.mean(np.abs(found.correlation) > remaining.BAND / np.sqrt(1000)))
+    assert 0.002 <= np.mean(outside) <= 0.025
+    assert colour == 0.0 or np.mean(naive) > 0.1
+
+
+def test_a_residual_that_follows_the_command_leaves_the_band_at_its_lag_alone() -> None:
+    rng = np.random.default_rng(8)
+    command = rng.normal(size=2000)
+    later = remaining.command_correlation(0.3 * np.roll(command, 7) + rng.normal(size=2000), command)
+    assert later.lags[np.argmax(later.correlation)] == 7 and 1 <= later.outside <= 2 and later.asked == 25
+    before = remaining.command_correlation(0.3 * np.roll(command, -7) + rng.normal(size=2000), command)
+    assert before.lags[np.argmax(before.correlation)] == -7 and before.outside <= 1     # feedback accuses nobody
+    still = remaining.command_correlation(np.ones(50), np.zeros(50))
+    assert still.outside == 0 and not still.correlation.any()
+
+
+def test_the_autocorrelation_is_what_its_definition_says() -> None:
+    rng = np.random.default_rng(9)
+    e = rng.normal(size=300)
+    c = e - e.mean()
+    found = remaining.whiteness(e)
+    assert found.autocorrelation == pytest.approx([c[k:] @ c[:-k] / (c @ c) for k in range(1, 26)])
+    assert found.bound == pytest.approx(2.5758 / np.sqrt(300), rel=1e-4) and found.white
+
+
+def test_an_even_line_says_its_places_once_and_whole_numbers_take_two_bytes() -> None:
+    figure = figures.run_figure(made.comparisons()[0])
+    line = figure.data[0]
+    assert line.x is None and (line.x0, line.dx) == (0.0, pytest.approx(0.002))
+    assert line.y.dtype == np.int16 and np.all(line.y == made.comparisons()[0].run.encoder)
+    uneven = figures._line(np.array([0.0, 1.0, 3.0]), np.array([0.5, 1.0, 2.0]), "before", "", "dash", 1.0)
+    assert list(uneven.x) == [0.0, 1.0, 3.0] and uneven.y.dtype == np.float32
+
+
+def test_the_law_is_weighed_against_the_medians_of_its_points() -> None:
+    full = made.friction_evidence()
+    assert figures.law_share(full) == pytest.approx(made.FRICTION / 0.0306, rel=0.05)
+    twice = replace(full, law_y=2.0 * np.asarray(full.law_y))
+    assert figures.law_share(twice) == pytest.approx(0.5 * made.FRICTION / 0.0306, rel=0.05)
+    assert figures.law_share(made.phase_evidence()) is None
+    assert figures.law_share(replace(full, law_x=None, law_y=None)) is None
+
+
+def test_a_picture_of_a_wrong_constant_shows_both_rigs_apart_without_colour() -> None:
+    f = np.geomspace(1.0, 20.0, 12)
+    contrast = Contrast("t", "frequency", "x", "y", f, -f, f, -f, "", -2.0 * f)
+    measured, without, with_it = figures.evidence_figure(contrast).data
+    assert (measured.mode, without.line.dash, with_it.line.dash) == ("markers", "dash", "solid")
+    assert (without.name, with_it.name) == ("without the cause", "with the cause")
+    assert np.allclose(without.y, -2.0 * f, rtol=1e-6) and np.allclose(with_it.y, -f, rtol=1e-6)
 
 
 def test_white_noise_passes_and_a_slow_drift_fails() -> None:
@@ -88,7 +151,7 @@ def test_a_large_cloud_shows_its_median_and_the_law_is_drawn() -> None:
 def test_the_next_experiment_is_drawn_with_the_difference() -> None:
     prediction = made.prediction()
     figure = figures.prediction_figure(prediction)
-    assert [trace.name for trace in figure.data] == ["no cause", "coulomb_friction at motor", "difference"] * 2
+    assert [trace.name for trace in figure.data] == ["no cause", "Coulomb friction at the motor", "difference"] * 2
     one, other, apart = figure.data[3:]
     assert np.allclose(apart.y, np.asarray(one.y) - np.asarray(other.y), atol=1e-4)
     assert one.line.dash != other.line.dash and figure.data[0].showlegend and not one.showlegend

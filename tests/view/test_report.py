@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
+import tomllib
 from dataclasses import replace
+from datetime import UTC, datetime
 from html.parser import HTMLParser
+from importlib import resources
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+from plotly.offline import get_plotlyjs_version
 
-from station.diagnose.result import Diagnosis, Gain, Wrong
+from station.diagnose.odds import SEED
+from station.diagnose.result import Diagnosis, Estimate, Gain, Wrong
 from station.errors import WorkError
 from station.view import wording
-from station.view.report import report_html, write_report
+from station.view.html import PLOTLY
+from station.view.report import SECTIONS, report_html, write_report
 from station.view.wording import VERDICTS
 from tests.view import made
 
@@ -49,7 +58,8 @@ class Page(HTMLParser):
 @pytest.mark.parametrize("verdict", VERDICTS)
 def test_every_verdict_has_its_report_in_the_stated_order(verdict: str) -> None:
     page = Page(report_html(made.result(verdict)))
-    order = ["verdict", "wrong", "gain", "cause", "rivals", "parameters", "gains", "runs", "remains", "next", "how"]
+    order = ["verdict", "wrong", "gain", "contents", "cause", "rivals", "parameters", "gains", "stability", "remains",
+             "next", "how"]
     assert [i for i in page.ids if i in order] == order
     assert VERDICTS[verdict] in page.text
 
@@ -57,16 +67,84 @@ def test_every_verdict_has_its_report_in_the_stated_order(verdict: str) -> None:
 def test_it_names_no_address_but_its_own_anchors() -> None:
     html = report_html(made.result())
     assert all(a.startswith(("#", "data:")) for a in Page(html).addresses)
-    assert html.count("plotly.js v") == 1
+    assert html.count("plotly.js (basic - minified) v") == 1
     assert "default-src 'none'" in html
 
 
 def test_the_numbers_of_the_diagnosis_stand_in_it() -> None:
     text = Page(report_html(made.result())).text
+    assert re.search(r"Station \d+\.\d+\.\d+ · rig sflr · 5 runs · effort full · 20\d\d-\d\d-\d\d explained", text)
     for words in ("Coulomb friction at the motor", "0.0305 N m", "0.0291 to 0.0319", "98 %", "8123",
                   "Stribeck friction at the motor", "no better, with two parameters more",
                   "93 % of the error above the noise", "differ by 31 counts", "step-kp1-large", "12 s"):
         assert words in text, words
+
+
+def test_every_section_stands_in_the_list_of_contents_and_every_link_leads_somewhere() -> None:
+    page = Page(report_html(made.result("partly_explained")))
+    links = [a[1:] for a in page.addresses if a.startswith("#")]
+    assert links[: len(SECTIONS)] == list(SECTIONS) and set(links) <= set(page.ids)
+
+
+def test_it_says_how_to_repeat_it() -> None:
+    result = made.result()
+    text = Page(report_html(result, datetime(2026, 3, 4, 5, 6, tzinfo=UTC))).text
+    assert "Written 2026-03-04 05:06 UTC" in text and "--effort full" in text and f"{SEED}" in text
+    assert hashlib.sha256(result.rig.to_toml().encode()).hexdigest() in text and "[motor]" in text
+    assert all(f"{k:064x}" in text for k in range(5)) and f"numpy {np.__version__}" in text
+
+
+def test_many_long_runs_stay_below_three_megabytes() -> None:
+    full, t = made.result(), np.arange(15_000) / made.RATE
+
+    def long(run: Any) -> Any:
+        columns = {name: np.resize(getattr(run, name), len(t)) for name in ("reference", "command", "encoder", "accel")}
+        return replace(run, t=t, **columns)
+    runs = [replace(c, run=replace(long(c.run), name=f"{c.run.name}-{k}"), before=long(c.before), refit=long(c.refit),
+                    after=long(c.after)) for k in range(5) for c in full.comparisons]
+    html = report_html(replace(full, comparisons=runs))
+    assert "samples the lowest and the highest of each" in html
+    assert len(report_html(full).encode()) < 2_000_000 and len(html.encode()) < 3_000_000
+
+
+def test_the_embedded_script_is_the_one_that_is_stated() -> None:
+    """And goes with the package that makes the figures."""
+    folder = resources.files("station.view") / "page"
+    stated = tomllib.loads((folder / "plotly-basic.toml").read_text(encoding="utf-8"))
+    script = (folder / stated["file"]).read_bytes()
+    assert hashlib.sha256(script).hexdigest() == stated["sha256"] and stated["file"] == PLOTLY
+    assert script[:100].decode().count(f"plotly.js (basic - minified) v{stated['version']}") == 1
+    assert get_plotlyjs_version() == stated["version"]
+    assert "MIT License" in (folder / "plotly-basic.LICENSE").read_text(encoding="utf-8")
+
+
+def test_a_value_that_the_runs_do_not_tell_says_so_wherever_it_stands() -> None:
+    full = made.result()
+    cause = full.diagnosis.causes[0]
+    guess = Estimate(value=0.03, low=0.029, high=0.031, unit="N m", state="not_excited")
+    told = full.diagnosis.model_copy(update={"causes": [cause.model_copy(update={"parameters": {"torque": guess}})]})
+    words = "not told by these runs; known only as it was beforehand"
+    assert Page(report_html(replace(full, diagnosis=told))).text.count(words) == 2
+    assert words not in Page(report_html(full)).text
+
+
+def test_noise_is_never_called_a_measured_error() -> None:
+    item = Wrong(run="step-kp2", channel="accel", measure="nrmse", simulated=0.31, measured=0.008)
+    full = made.result()
+    text = Page(report_html(replace(full, diagnosis=full.diagnosis.model_copy(update={"wrong": [item]})))).text
+    assert text.count("a right simulation would leave 0.8 %") == 2 and "measured 0.8 %" not in text
+
+
+def test_stability_has_a_section_with_what_is_asked() -> None:
+    noted = replace(made.result(), notes=["in the best set but not stated, for too few resamples name them: "
+                                          "dead_zone at amplifier (0.61)"])
+    text = Page(report_html(noted)).text
+    assert "Coulomb friction at the motor 93 % of the resamples reached" in text
+    assert "too few resamples name them: dead zone in the amplifier (0.61)." in text
+    low = noted.diagnosis.causes[0].model_copy(update={"stability": 0.5})
+    ambiguous = made.result("ambiguous")
+    said = replace(ambiguous, diagnosis=ambiguous.diagnosis.model_copy(update={"causes": [low]}))
+    assert "50 % of the resamples not reached" in Page(report_html(said)).text
 
 
 def test_rivals_lose_for_a_stated_reason() -> None:

@@ -27,17 +27,48 @@ def test_an_interval_decides_how_many_digits_a_value_shows() -> None:
 
 
 @pytest.mark.parametrize(("verdict", "fraction", "words"), [
-    ("explained", 1.02, "all"), ("partly_explained", 1.02, "nearly all"), ("explained", 0.93, "93 %"),
-    ("partly_explained", 0.93, "93 %"), ("explained", -0.1, "none")])
-def test_the_share_that_is_gone_and_the_verdict_say_the_same(verdict: str, fraction: float, words: str) -> None:
+    ("explained", 1.02, "all of the error above the noise is gone"),
+    ("partly_explained", 1.02, "nearly all of the error above the noise is gone"),
+    ("explained", 0.93, "93 % of the error above the noise is gone, the rest within the uncertainty of the fits"),
+    ("partly_explained", 0.93, "93 % of the error above the noise is gone"),
+    ("explained", -0.1, "the error of whole runs is not smaller, within the uncertainty of the fits"),
+    ("partly_explained", -0.1, "the error of whole runs is not smaller"), ("explained", None, "")])
+def test_the_share_that_is_gone_and_the_verdict_say_the_same(verdict: str, fraction: float | None, words: str) -> None:
+    causes = made.result(verdict).diagnosis.causes
     gain = Gain(held_out=["one"], explained_fraction=fraction)
-    assert wording.explained(Diagnosis(verdict=verdict, gain=gain)) == words
+    assert wording.gone(Diagnosis(verdict=verdict, causes=causes, gain=gain)) == words
+    assert wording.gone(Diagnosis(verdict=verdict, gain=gain)) == ""
+
+
+def test_notes_of_the_diagnosis_name_causes_by_their_titles() -> None:
+    assert wording.plain("as part of sublinear_drag@motor + dead_zone@amplifier") == \
+        "as part of sublinear drag at the motor + dead zone in the amplifier"
+    assert wording.plain("parameter:drive.damping + coulomb_friction at base differ by chi^2 = 15") == \
+        "wrong drive damping + Coulomb friction at the base differ by χ² = 15"
+    assert wording.plain("parameter:tip.mass@ + made_up@motor") == "wrong tip mass + made_up@motor"
+
+
+def test_what_is_tried_beside_the_first_says_what_it_adds() -> None:
+    first = RankedCause("backlash", "drive", 0.99, 500.0, 0.4, {})
+    note = "as part of backlash@drive + dead_zone@amplifier"
+    assert wording.why_lost(RankedCause("dead_zone", "amplifier", 0.1, 500.3, None, {}, note), first, False) == \
+        "as part of backlash in the drive + dead zone in the amplifier: adds nothing to 2 Δln L"
+    assert wording.why_lost(RankedCause("dead_zone", "amplifier", 0.1, 510.0, None, {}, note), first, False).endswith(
+        "adds 10.0 to 2 Δln L, too little")
+    assert wording.why_lost(RankedCause("dead_zone", "amplifier", 0.6, 510.0, None, {}, note), first, False) == \
+        "may be there as well, but too few resamples name it"
+
+
+def test_a_test_is_told_with_six_digits() -> None:
+    assert wording.test_words({"kind": "lead", "zero": 31.41592653589793, "numerator": [1.0, 0.00045097]}) == \
+        "lead, zero 31.4159, numerator [1, 0.00045097]"
 
 
 def test_odds_never_claim_certainty() -> None:
     assert wording.probability(0.99999) == "> 99.9 %"
     assert wording.probability(1e-9) == "< 0.1 %"
     assert wording.probability(0.983) == "98 %"
+    assert wording.probability(0.9985) == "99.9 %" and wording.probability(0.9962) == "99.6 %"
 
 
 @pytest.mark.parametrize(("effect", "at", "title"), [
