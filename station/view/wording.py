@@ -195,7 +195,8 @@ def _accusation(causes: Sequence[Cause], rig: Rig) -> str:
             path, estimate = constant_path(cause.effect), cause.parameters.get("value")
             values = ""
             if estimate is not None and path in nominal:
-                values = f" ({number(nominal[path])} {unit_of(estimate)} where these runs say {number(estimate.value)})"
+                stated = f"{number(nominal[path])} {unit_of(estimate)}".rstrip()
+                values = f" ({stated} where these runs say {number(estimate.value)})"
             words.append(f"a wrong {constant_title(path)}{values}")
         parts.append(f"has {' and '.join(words)}")
     return " and ".join(parts)
@@ -311,7 +312,7 @@ def residual_words(scatter: float, noise: float, white: bool, followed: int) -> 
     """
     if scatter <= LIKE_NOISE * noise:
         return "noise" if white and not followed else "no larger than the noise"
-    return f"more than noise{', and it follows the command' if followed else ''}"
+    return f"larger than the noise{', and it follows the command' if followed else ''}"
 
 
 def remains_sentence(diagnosis: Diagnosis, larger: int, of: int) -> str:
