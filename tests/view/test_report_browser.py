@@ -72,10 +72,16 @@ def test_no_console_error_no_request_and_every_figure_drawn(browser: Any, tmp_pa
     page = watched.open(path)
     assert watched.errors == []
     assert [url for url in watched.requests if not url.startswith(("file:", "data:", "blob:"))] == []
+    assert page.evaluate("document.documentElement.scrollHeight") < 6000
+    folded = "document.querySelectorAll('details:not([open]) [data-figure]:not([data-drawn])').length"
+    assert page.evaluate(folded) >= len(result.comparisons)
+    page.evaluate("document.querySelectorAll('details').forEach(part => { part.open = true; })")
+    until(page, "document.querySelectorAll('[data-figure]:not([data-drawn])').length === 0")
     lines = page.evaluate("""() => [...document.querySelectorAll('[data-figure]')].map(place => ({
         name: place.dataset.figure, drawn: place.dataset.drawn, height: place.querySelector('svg')?.clientHeight || 0,
         asked: place.data.length, there: place.querySelectorAll('.scatterlayer .trace').length}))""")
-    assert len(lines) == 1 + len(result.evidence) + len(result.comparisons) + 2
+    assert len(lines) == 1 + len(result.evidence) + len(result.comparisons) + 3
+    assert watched.errors == []
     for figure in lines:
         assert figure["drawn"] == "yes" and figure["height"] > 200, figure
         assert figure["there"] == figure["asked"] > 0, figure
@@ -95,6 +101,72 @@ def test_hover_tells_values_and_the_legend_hides_a_line(browser: Any, report: Pa
     page.context.close()
 
 
+def test_a_drag_zooms_and_a_double_click_shows_all_again(browser: Any, report: Path) -> None:
+    page = Watched(browser, viewport=DESK).open(report)
+    reach = "document.getElementById('figure-hero').layout.xaxis.range"
+    whole = page.evaluate(reach)
+    box = page.query_selector("#figure-hero .nsewdrag").bounding_box()
+    middle = box["y"] + box["height"] / 2
+    page.mouse.move(box["x"] + 0.25 * box["width"], middle)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.5 * box["width"], middle + 3, steps=6)
+    page.mouse.up()
+    until(page, f"({reach})[1] - ({reach})[0] < 0.3 * {whole[1] - whole[0]}")
+    low, high = page.evaluate(reach)
+    assert low == pytest.approx(whole[0] + 0.25 * (whole[1] - whole[0]), abs=0.03 * (whole[1] - whole[0]))
+    page.mouse.dblclick(box["x"] + 0.6 * box["width"], middle)
+    until(page, f"Math.abs(({reach})[1] - {whole[1]}) < 1e-6")
+    page.context.close()
+
+
+def test_the_list_of_contents_leads_to_its_sections_and_a_run_unfolds_where_a_link_names_it(browser: Any,
+                                                                                             report: Path) -> None:
+    page = Watched(browser, viewport=PHONE).open(report)
+    page.click("#contents a[href='#remains']")
+    until(page, "Math.abs(document.getElementById('remains').getBoundingClientRect().top) < 100")
+    assert page.query_selector("#run-2[open]") is None
+    page.click("#gains a[href='#run-2']")
+    until(page, "document.getElementById('figure-run-1').dataset.drawn === 'yes'")
+    assert page.query_selector("#run-2[open]") is not None
+    assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+    page.context.close()
+
+
+def test_lines_and_points_are_told_apart_without_colour(browser: Any, report: Path) -> None:
+    """In every drawn figure: dash, width or marker differ between any two entries of a legend."""
+    page = Watched(browser, viewport=DESK).open(report)
+    looks = page.evaluate("""() => [...document.querySelectorAll('[data-drawn]')].map(place => place._fullData
+        .filter(t => t.showlegend).map(t => [t.mode, t.mode.includes('lines') ? t.line.dash + t.line.width : '',
+                                             t.mode.includes('markers') ? t.marker.symbol + t.marker.size : ''].join()))
+        """)
+    assert len(looks) >= 5
+    for figure in looks:
+        assert len(figure) == len(set(figure)) > 1, figure
+    page.context.close()
+
+
+def test_paper_shows_what_the_screen_folds(browser: Any, report: Path) -> None:
+    watched = Watched(browser, viewport=DESK)
+    page = watched.open(report)
+    assert page.query_selector("#run-1[open]") is None
+    left = page.evaluate("""() => { dispatchEvent(new Event('beforeprint'));
+        return [...document.querySelectorAll('[data-figure]')].filter(place => !place.querySelector('.trace')).length
+            + document.querySelectorAll('details:not([open])').length; }""")
+    assert left == 0                # at once, for the browser prints when the event returns
+    page.emulate_media(media="print")
+    assert page.query_selector("#contents").is_visible() is False
+    assert page.query_selector("details.screen pre").is_visible() is False
+    assert page.query_selector("#figure-run-0").is_visible() is True
+    page.emulate_media(media="screen")
+    page.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert page.query_selector("#run-1[open]") is None
+    printed = page.pdf(prefer_css_page_size=True)
+    page.evaluate("document.querySelectorAll('.run').forEach(part => part.remove())")
+    assert len(printed) > 1.1 * len(page.pdf(prefer_css_page_size=True))      # the folded runs were drawn on paper
+    assert watched.errors == []
+    page.context.close()
+
+
 def test_dark_mode_and_paper_turn_the_page_and_its_figures(browser: Any, report: Path) -> None:
     watched = Watched(browser, viewport={"width": 700, "height": 1000}, color_scheme="light")
     page = watched.open(report)
@@ -106,7 +178,7 @@ def test_dark_mode_and_paper_turn_the_page_and_its_figures(browser: Any, report:
     page.emulate_media(media="print", color_scheme="dark")
     until(page, "document.getElementById('figure-hero').layout.font.color === '#16191d'")
     assert max(channels(ink(page, "body"))) < 60
-    widths = page.eval_on_selector_all("[data-figure]", "all => all.map(e => [e.clientWidth, "
+    widths = page.eval_on_selector_all("[data-drawn]", "all => all.map(e => [e.clientWidth, "
                                                         "e.querySelector('svg.main-svg').clientWidth])")
     assert all(drawing <= place + 1 for place, drawing in widths)
     pdf = page.pdf(prefer_css_page_size=True)
@@ -119,9 +191,11 @@ def test_hostile_names_stay_text(browser: Any, tmp_path: Path) -> None:
     write_report(made.hostile(), path)
     watched = Watched(browser, viewport=PHONE)
     page = watched.open(path)
+    page.evaluate("document.querySelectorAll('details').forEach(part => { part.open = true; })")
+    until(page, "document.querySelectorAll('[data-figure]:not([data-drawn])').length === 0")
     assert page.evaluate("typeof window.stolen") == "undefined"
     assert page.query_selector_all("main img, main iframe, main b, .plot-container a") == []
-    assert made.HOSTILE in page.inner_text("#runs")
+    assert made.HOSTILE in page.text_content("#runs")
     assert watched.errors == [] and len(watched.requests) == 1
     assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
     watched.context.close()
