@@ -242,7 +242,7 @@ def crossing_figure(found: list[Residual]) -> go.Figure:
 
 def _panels(titles: list[str]) -> go.Figure:
     return _plain(make_subplots(rows=len(titles), cols=1, vertical_spacing=0.16, subplot_titles=titles),
-                  hovermode="closest")
+                  hovermode="closest", top=74)
 
 
 def _by_lag(figure: go.Figure, row: int, lines: dict[int, tuple[np.ndarray, np.ndarray]], bound: float,

@@ -33,16 +33,21 @@ def _link(path: Path) -> str:
 
 def _row(item: RunSummary) -> dict[str, Any]:
     row: dict[str, Any] = {"name": item.path.name, "link": _link(Path(item.path.name)), "item": item,
-                           "problem": item.problem, "quality": None, "picture": ""}
+                           "problem": _here(item.problem, item.path), "quality": None, "picture": ""}
     if item.metadata is None:
         return row
     try:
         run = load_run(item.path)
     except WorkError as error:
-        return row | {"problem": str(error)}
+        return row | {"problem": _here(str(error), item.path)}
     limit = run.metadata.entries().get("command_limit")
     found = quality(run, float(limit) if isinstance(limit, int | float) else float("inf"))
     return row | {"quality": found if found.overshoot is not None else None, "picture": _picture(run)}
+
+
+def _here(problem: str | None, path: Path) -> str | None:
+    """A complaint by the file's name: where the folder lies is nobody's business on a page that is shared."""
+    return problem and problem.replace(str(path), path.name)
 
 
 def _picture(run: Run) -> str:

@@ -321,7 +321,8 @@ def remains_sentence(diagnosis: Diagnosis, larger: int, of: int) -> str:
     if leaves_noise(diagnosis):
         whole = ("Over whole runs, by which the verdict judges, what is left is noise"
                  f"{' and stated uncertainty' if diagnosis.verdict != 'not_enough_data' else ''}")
-        return f"{whole}; {ahead}." if larger else f"{whole}, and so it is one sample ahead."
+        none = "one sample ahead no residual is larger than the sensors' noise"
+        return f"{whole}; {ahead if larger else none}."
     whole = "Over whole runs, by which the verdict judges, more than noise is left"
     return f"{whole}; {ahead}." if larger else f"{whole}; one sample ahead it does not show."
 
