@@ -1,15 +1,16 @@
 #!/usr/bin/env python3
 """Make the pictures of the docs: a diagnosis of the simulated rig, its report, its recording and a log, photographed.
 
-    python scripts/pictures.py [FOLDER]
+    python scripts/pictures.py [FOLDER] [--report]
 
-Needs the package installed, playwright, and a Chromium on the PATH.  FOLDER defaults to docs/pictures.
+Needs the package installed, playwright, and a Chromium on the PATH.  FOLDER defaults to docs/images, where the docs and
+the README look for them; --report leaves Rerun's pictures as they are.
 """
 
 from __future__ import annotations
 
+import argparse
 import shutil
-import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from station.control.compensators import Compensator
 from station.control.named import NAMED
@@ -38,6 +40,8 @@ DESK, PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "chrome")
 SOFTWARE_GL = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
 VIEWER_SECONDS = 45.0
+COLOURS = 128
+"""Of a picture that is kept: a third of the size, and no difference to the eye."""
 
 
 def runs_of(rig: Rig, seed: int = 7) -> list[Run]:
@@ -62,14 +66,24 @@ def runs_of(rig: Rig, seed: int = 7) -> list[Run]:
     return runs
 
 
+def photograph_finding(browser: Any, report: Path, picture: Path) -> None:
+    """The README's picture: the report from its verdict to the evidence for the first cause."""
+    page = browser.new_page(viewport={"width": 1120, "height": 1400})
+    page.goto(report.as_uri())
+    page.wait_for_selector("html[data-figures=drawn]")
+    end = page.eval_on_selector("#cause figure", "e => e.getBoundingClientRect().bottom")
+    page.screenshot(path=picture, clip={"x": 0, "y": 0, "width": 1120, "height": end + 8}, full_page=True)
+    page.close()
+
+
 def photograph_report(browser: Any, report: Path, folder: Path) -> None:
-    """The report's first screen on a desk, in light and dark, and on a phone; and the whole of it."""
-    for name, size, scheme, whole in (("report", DESK, "light", False), ("report-dark", DESK, "dark", False),
-                                      ("report-phone", PHONE, "light", False), ("report-whole", DESK, "light", True)):
+    """The report's first screen on a desk, in light and dark, and on a phone."""
+    for name, size, scheme in (("report", DESK, "light"), ("report-dark", DESK, "dark"),
+                               ("report-phone", PHONE, "light")):
         page = browser.new_page(viewport=size, color_scheme=scheme)
         page.goto(report.as_uri())
         page.wait_for_selector("html[data-figures=drawn]")
-        page.screenshot(path=folder / f"{name}.png", full_page=whole)
+        page.screenshot(path=folder / f"{name}.png")
         page.close()
 
 
@@ -106,7 +120,11 @@ def main() -> None:
     """Diagnose a rig with friction that the nominal rig lacks, and photograph what comes of it."""
     from playwright.sync_api import sync_playwright
 
-    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "docs/pictures")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", nargs="?", type=Path, default=Path("docs/images"))
+    parser.add_argument("--report", action="store_true", help="the report's pictures alone")
+    options = parser.parse_args()
+    folder: Path = options.folder
     folder.mkdir(parents=True, exist_ok=True)
     executable = next(filter(None, map(shutil.which, BROWSERS)), None)
     if executable is None:
@@ -119,12 +137,18 @@ def main() -> None:
         write_report(result, report)
         write_recording(recording, result.comparisons, nominal)
         browser = playwright.chromium.launch(executable_path=executable, args=["--no-sandbox", *SOFTWARE_GL])
+        photograph_finding(browser, report, folder / "finding.png")
         photograph_report(browser, report, folder)
-        photograph_in_viewer(browser, [recording], folder / "recording.png")
-        log = Path(scratch) / "log.mcap"
-        log_a_test(log)
-        photograph_in_viewer(browser, [log, log.with_suffix(".rbl")], folder / "log.png")
+        if not options.report:
+            photograph_in_viewer(browser, [recording], folder / "recording.png")
+            log = Path(scratch) / "log.mcap"
+            log_a_test(log)
+            photograph_in_viewer(browser, [log, log.with_suffix(".rbl")], folder / "log.png")
         browser.close()
+    for picture in folder.glob("*.png"):
+        with Image.open(picture) as colours:
+            few = colours.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+        few.save(picture, optimize=True)
     print(f"{folder}: {', '.join(sorted(p.name for p in folder.glob('*.png')))}")
 
 

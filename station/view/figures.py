@@ -161,12 +161,13 @@ def evidence_figure(evidence: Evidence) -> go.Figure:
 def law_share(evidence: Evidence) -> float | None:
     """By which factor the law of a picture fits the medians of its points best (least squares); 1 where they agree.
 
-    None where points are few or the law is no torque or command that vanishes at rest.
+    Medians at rest and near it, the inner tenth of their range, do not count: there friction may hold anything, and
+    smoothing rounds a jump.  None where points are few or the law is no torque or command that vanishes at rest.
     """
     if evidence.kind not in _LAW_KINDS or evidence.law_x is None or evidence.law_y is None or len(evidence.x) <= MANY:
         return None
     centre, middle, _, _ = _binned(np.asarray(evidence.x, float), np.asarray(evidence.y, float))
-    law = np.interp(centre, evidence.law_x, evidence.law_y)
+    law = np.interp(centre, evidence.law_x, evidence.law_y) * (np.abs(centre) > 0.1 * np.abs(centre).max())
     return float(law @ middle / (law @ law)) if law.any() else None
 
 

@@ -78,6 +78,8 @@ def test_an_even_line_says_its_places_once_and_whole_numbers_take_two_bytes() ->
 def test_the_law_is_weighed_against_the_medians_of_its_points() -> None:
     full = made.friction_evidence()
     assert figures.law_share(full) == pytest.approx(made.FRICTION / 0.0306, rel=0.05)
+    at_rest = replace(full, x=np.append(full.x, np.zeros(9000)), y=np.append(full.y, np.zeros(9000)))
+    assert figures.law_share(at_rest) == pytest.approx(made.FRICTION / 0.0306, rel=0.05)
     twice = replace(full, law_y=2.0 * np.asarray(full.law_y))
     assert figures.law_share(twice) == pytest.approx(0.5 * made.FRICTION / 0.0306, rel=0.05)
     assert figures.law_share(made.phase_evidence()) is None

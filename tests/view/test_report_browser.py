@@ -101,6 +101,15 @@ def test_hover_tells_values_and_the_legend_hides_a_line(browser: Any, report: Pa
     page.context.close()
 
 
+def test_no_button_sends_the_data_anywhere(browser: Any, report: Path) -> None:
+    page = Watched(browser, viewport=DESK).open(report)
+    titles = page.eval_on_selector_all(".modebar-btn", "all => [...new Set(all.map(e => e.dataset.title))]")
+    assert {"Zoom", "Pan", "Reset axes"} <= set(titles)
+    assert not [title for title in titles if re.search("share|cloud|edit|send", title, re.I)]
+    assert page.evaluate("document.getElementById('figure-hero')._context.plotlyServerURL") == ""
+    page.context.close()
+
+
 def test_a_drag_zooms_and_a_double_click_shows_all_again(browser: Any, report: Path) -> None:
     page = Watched(browser, viewport=DESK).open(report)
     reach = "document.getElementById('figure-hero').layout.xaxis.range"

@@ -5,7 +5,8 @@
   const places = [...document.querySelectorAll("[data-figure]")];
   const narrow = matchMedia("(max-width: 640px)");
   const coarse = matchMedia("(pointer: coarse)").matches;
-  const config = {responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d"]};
+  const config = {responsive: true, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d"],
+                  showSendToCloud: false, plotlyServerURL: ""};  // no button that would send the data anywhere
 
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
 
