@@ -145,11 +145,13 @@ def main() -> None:
             log_a_test(log)
             photograph_in_viewer(browser, [log, log.with_suffix(".rbl")], folder / "log.png")
         browser.close()
-    for picture in folder.glob("*.png"):
+    made = [folder / f"{name}.png" for name in ("finding", "report", "report-dark", "report-phone",
+                                                *(() if options.report else ("recording", "log")))]
+    for picture in made:
         with Image.open(picture) as colours:
             few = colours.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
         few.save(picture, optimize=True)
-    print(f"{folder}: {', '.join(sorted(p.name for p in folder.glob('*.png')))}")
+    print(f"{folder}: {', '.join(picture.name for picture in made)}")
 
 
 if __name__ == "__main__":
