@@ -64,14 +64,15 @@ def residuals(result: DiagnosisResult) -> list[Residual]:
         if not all(np.all(np.isfinite(e)) for e in errors):
             continue
         for c, channel in enumerate(CHANNELS[: data.channels]):
-            found.append(Residual(number, run, channel, errors[0][c, rows], errors[1][c, rows], run.command[rows],
+            found.append(Residual(number, run, channel, errors[0][c, rows], errors[1][c, rows],
+                                  data.runs[r].command[rows],
                                   float(data.sigma[c])))
     return found
 
 
 def _runs(result: DiagnosisResult) -> Sequence[tuple[int, Run]]:
     runs = [c.run for c in result.comparisons]
-    if len(runs) == 2 and runs[0].t is runs[1].t:
+    if [run.name.rpartition(" (")[2] for run in runs] == ["first half)", "second half)"]:
         return [(1, runs[0])]
     absolute = any(e.absolute is not None for rig in (result.rig, result.extended_rig) for e in rig.effects)
     first = runs[0].metadata.zero_id if runs else None
