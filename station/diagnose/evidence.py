@@ -390,10 +390,10 @@ def _frequency(cause: _Cause, quantities: tuple[str, ...]) -> list[Evidence]:
     for quantity in quantities:
         if quantity == "gain":
             label, y, line = "measured over simulated (dB)", _decibel(measured), _decibel(law)
-            how, error = "Line: the extended rig over the same, estimated alike.", "0.9 dB"
+            how, limit = "Line: the extended rig over the same, estimated alike.", "0.9 dB"
         else:
             label, y, line = "phase of measured over simulated (degrees)", _degrees(measured), _degrees(law)
-            how, error = "Line: the extended rig over the same, estimated alike.", "6 degrees"
+            how, limit = "Line: the extended rig over the same, estimated alike.", "6 degrees"
             if cause.effect is not None and cause.effect.stage in _DELAYS:
                 line = -360.0 * frequency * next(iter(cause.effect.values().values()))
                 how = "Below 0 the measured is late. Line: -360 degrees times frequency times the fitted delay."
@@ -402,7 +402,7 @@ def _frequency(cause: _Cause, quantities: tuple[str, ...]) -> list[Evidence]:
             f"{word} of the measured {sensor} against the simulated, over frequency: {cause.title}", "frequency",
             "frequency (Hz)", label, frequency, y, frequency, line,
             f"Points: cross over power spectra of {_count(cause.runs)}, simulated from the logged command without "
-            f"this cause; bands with a standard error above {error} are left out. {how}"))
+            f"this cause; bands with a standard error above {limit} are left out. {how}"))
     return pictures
 
 
