@@ -317,7 +317,8 @@ def residual_words(scatter: float, noise: float, white: bool, followed: int) -> 
 
 def remains_sentence(diagnosis: Diagnosis, larger: int, of: int) -> str:
     """What is left over whole runs, as the verdict has it, and one sample ahead: ``larger`` residuals of ``of``."""
-    ahead = f"one sample ahead {larger} of {of} residuals are larger than the sensors' noise"
+    count = "the residual is" if of == 1 else f"{larger} of {of} residuals {'is' if larger == 1 else 'are'}"
+    ahead = f"one sample ahead {count} larger than the sensors' noise"
     if leaves_noise(diagnosis):
         whole = ("Over whole runs, by which the verdict judges, what is left is noise"
                  f"{' and stated uncertainty' if diagnosis.verdict != 'not_enough_data' else ''}")

@@ -124,7 +124,7 @@ def test_the_sentence_on_what_remains_agrees_with_its_table() -> None:
     for verdict, larger in itertools.product(wording.VERDICTS, (0, 1, 10)):
         said = wording.remains_sentence(made.result(verdict, runs=1).diagnosis, larger, 10)
         assert ("more than noise is left" in said) == (verdict in ("partly_explained", "unexplained"))
-        assert (f"{larger} of 10 residuals are larger" in said) == (larger > 0)
+        assert (f"{larger} of 10 residuals {'is' if larger == 1 else 'are'} larger" in said) == (larger > 0)
     for scatter, white, followed in itertools.product((0.5, 1.0, 1.09, 1.2, 9.0), (True, False), (0, 3)):
         words = wording.residual_words(scatter, 1.0, white, followed)
         assert ("larger than the noise" in words and "no larger" not in words) == (scatter > wording.LIKE_NOISE)
