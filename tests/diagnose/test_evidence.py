@@ -136,6 +136,17 @@ def test_a_constant_that_is_off_moves_the_response_to_where_it_was_measured(path
     assert fit(wrong) < 0.0
 
 
+def test_a_high_pass_is_drawn_where_it_acts_and_no_point_lies_far_from_its_law():
+    """At low frequency, where few spectral lines are: points that are not sure are left out, not drawn at random."""
+    runs = made([{"effect": "accelerometer_highpass", "at": "accelerometer", "time_constant": 0.15}])
+    extended = RIG.with_effects([effect_class("accelerometer_highpass")(at="accelerometer", time_constant=0.15)])
+    size, phase, _ = evidence(RIG, extended, runs, [("accelerometer_highpass", "accelerometer")])
+    for picture, most in ((size, 1.8), (phase, 12.0)):      # twice the largest standard error: 0.9 dB, 6 degrees
+        assert picture.x.min() < 1.5 and len(picture.x) >= 10
+        assert np.abs(picture.y - picture.law_y).max() < most
+    assert size.law_y[0] < -1.0 and phase.law_y[0] > 20.0
+
+
 def test_each_of_two_causes_is_drawn_without_the_other():
     rows = [{"effect": "coulomb_friction", "at": "motor", "torque": 0.08},
             {"effect": "cable_spring", "at": "base", "stiffness": 0.15, "rest": 0.2}]

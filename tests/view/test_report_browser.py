@@ -50,10 +50,13 @@ def ink(page: Any, selector: str) -> str:
     return page.eval_on_selector(selector, "e => getComputedStyle(e).color")
 
 
+@pytest.mark.parametrize("verdict", ["ambiguous", "partly_explained"])
 @pytest.mark.parametrize("size", [PHONE, DESK], ids=["phone", "desk"])
-def test_verdict_picture_and_gain_stand_above_the_fold(browser: Any, report: Path, size: dict[str, int]) -> None:
-    """With the verdict whose sentence is the longest."""
-    page = Watched(browser, viewport=size).open(report)
+def test_verdict_picture_and_gain_stand_above_the_fold(browser: Any, tmp_path: Path, size: dict[str, int],
+                                                       verdict: str) -> None:
+    """With the verdicts whose sentences are the longest."""
+    write_report(made.result(verdict), tmp_path / "report.html")
+    page = Watched(browser, viewport=size).open(tmp_path / "report.html")
     for part in ("#verdict", "#figure-hero", "#gain"):
         assert 0 < bottom(page, part) <= size["height"], part
     assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
