@@ -34,15 +34,20 @@ def find_events(run: Run, limit: float, status_names: Mapping[int, str] | None =
     if run.slack is not None:
         events += [Event(int(row), "WARN", f"answered {-1e3 * run.slack[row]:.1f} ms late")
                    for row in np.flatnonzero(np.nan_to_num(run.slack, nan=1.0) < 0.0)]
+    events += [Event(first, "WARN", _lost(last - first)) for first, last in _stretches(~run.logged)]
     if run.n is not None:
         lost = np.diff(run.n) - 1
-        events += [Event(int(row) + 1, "WARN", f"{int(lost[row])} sample{'s' if lost[row] > 1 else ''} lost")
+        events += [Event(int(row) + 1, "WARN", _lost(int(lost[row])))
                    for row in np.flatnonzero(lost > 0)]
     for bit, name in (status_names or {}).items():
         if run.status is not None:
             set_ = (np.asarray(run.status).astype(np.int64) & bit) != 0
             events += [Event(first, "WARN", f"device says: {name}") for first, _ in _stretches(set_)]
     return sorted(events, key=lambda e: e.row)
+
+
+def _lost(count: int) -> str:
+    return f"{count} sample{'s' if count > 1 else ''} lost"
 
 
 def _stretches(mask: np.ndarray) -> Iterator[tuple[int, int]]:
