@@ -8,6 +8,7 @@ from dataclasses import asdict
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from station.model.frequency import (
     FrequencyResponse,
@@ -19,6 +20,8 @@ from station.rig import Rig
 from station.runs.run import Run
 
 TITLES = {"encoder": "command → encoder", "accel": "command → accelerometer"}
+COHERENT = 0.5
+"""Below this coherence most of a reading has another source than the command: no response is drawn."""
 LINES = {"finite elements": {"linestyle": "-", "linewidth": 1.6},
          "transfer matrices": {"linestyle": "--", "linewidth": 1.6}}
 
@@ -80,7 +83,8 @@ def same_test_picture(accounts: Mapping[str, Run], colours: Mapping[str, str], d
     """A PNG of the responses that a measured run and simulations of its test show, each estimated in the same way.
 
     The first of ``accounts`` is the measured one; so an effect that no linear response has, such as friction, is seen
-    in both.  The resolution is 0.25 Hz, coarser where the run is shorter than 16 s.  ``colours``: by account.
+    in both.  Magnitude and phase are drawn where the coherence is at least ``COHERENT``.  The resolution is 0.25 Hz,
+    coarser where the run is shorter than 16 s.  ``colours``: by account.
     WorkError where there is no response: a command or an encoder that never moves, too few rows.
     """
     measured = next(iter(accounts.values()))
@@ -105,18 +109,31 @@ def _draw_accounts(axes: Sequence, sensor: str, found: Mapping[str, FrequencyRes
                    top: float) -> None:
     near: np.ndarray | None = None
     for name, response in found.items():
-        shown = response.frequency <= top
-        frequency, value = response.frequency[shown], getattr(response, sensor)[shown]
-        phase = np.unwrap(np.angle(value)) if near is None else near + np.angle(value * np.exp(-1j * near))
-        near = phase if near is None else near
+        inside = response.frequency <= top
+        frequency, value = response.frequency[inside], getattr(response, sensor)[inside]
+        coherence = getattr(response, f"{sensor}_coherence")[inside]
+        if near is None:
+            near = _unwrapped(value, coherence >= COHERENT)
+        phase = near + np.angle(value * np.exp(-1j * near))
         style = {"color": colours[name], "linewidth": 2.6 if name == "measured" else 1.4}
-        axes[0].semilogx(frequency, 20.0 * np.log10(np.abs(value)), label=name, **style)
-        axes[1].semilogx(frequency, np.rad2deg(phase), **style)
-        axes[2].semilogx(frequency, getattr(response, f"{sensor}_coherence")[shown], **style)
+        for axis, line in ((axes[0], 20.0 * np.log10(np.abs(value))), (axes[1], np.rad2deg(phase))):
+            axis.semilogx(frequency, np.where(coherence >= COHERENT, line, np.nan), label=name, **style)
+        axes[2].semilogx(frequency, coherence, **style)
     axes[2].set_ylim(0.0, 1.05)
     for axis in axes:
         axis.grid(which="both", alpha=0.25)
+        axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.xaxis.set_minor_formatter(NullFormatter())
     axes[-1].set_xlabel("frequency, Hz")
+
+
+def _unwrapped(value: np.ndarray, certain: np.ndarray) -> np.ndarray:
+    """Phase, rad, unwrapped over the certain rows alone; the others lie on straight lines between them."""
+    rows = np.flatnonzero(certain)
+    if not rows.size:
+        return np.unwrap(np.angle(value))
+    return np.interp(np.arange(len(value)), rows, np.unwrap(np.angle(value[rows])))
 
 
 def excited(run: Run, share: float = 1e-4) -> float:

@@ -208,7 +208,7 @@ def _tab(root: str, run: Run, sources: Sequence[_Source], rig: Rig, exaggeration
     def plot(name: str, *paths: str) -> rrb.TimeSeriesView:
         return rrb.TimeSeriesView(origin=root, contents=[f"$origin/{path}/**" for path in paths], name=name,
                                   axis_x=rrb.TimeAxis(link="LinkToGlobal"),
-                                  plot_legend=rrb.PlotLegend("RightTop"))
+                                  plot_legend=rrb.PlotLegend("LeftTop"))
 
     plots = [plot("Angle (encoder counts)", "angle"),
              plot("Angle: measured − simulated (counts)", "residual/angle")]
