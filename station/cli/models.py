@@ -88,7 +88,8 @@ def fit(
     need_outputs(save_rig, json, overwrite=overwrite, inputs=[rig, *runs])
     model, loaded = load_rig(rig), load_runs(runs)
     with progress("fitting") as update:
-        found = fit_rig(model, loaded, hold, domain=domain, starts=starts, progress=lambda text: update(None, text))
+        found = fit_rig(model, loaded, hold, domain=domain, starts=starts,
+                        progress=lambda text, share: update(share, text))
     if save_rig is not None:
         write_text(save_rig, found.rig.to_toml())
     if as_json(json, {"constants": [asdict(constant) for constant in found.constants],

@@ -47,4 +47,4 @@ def _row(item: RunSummary) -> dict[str, Any]:
 
 def _picture(run: Run) -> str:
     lines = {"encoder": run.encoder} if run.open_loop else {"reference": run.reference, "encoder": run.encoder}
-    return markup.plot(run.t, lines, f"{run.name}, counts", *THUMBNAIL)
+    return markup.plot(run.t, lines, f"{run.name}, counts", *THUMBNAIL, ranges=False)
