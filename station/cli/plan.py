@@ -122,11 +122,11 @@ def _tell(plan: Plan, runs: dict[Trial, Run], out: Path) -> dict[str, Any]:
             "runs": [{"file": trial.file_name, "repeat": trial.repeat, **each.as_dict()}
                      for trial, each in zip(made, found, strict=True)]})
     console().print(shown)
-    found = {"plan": f"{plan.name}.{plan.key}", "seed": plan.seed, "order": plan.order, "rig": plan.rig.name,
-             "tests": written}
-    write_json(out / RESULTS, found)
+    told = {"plan": f"{plan.name}.{plan.key}", "seed": plan.seed, "order": plan.order, "rig": plan.rig.name,
+            "tests": written}
+    write_json(out / RESULTS, told)
     say(f"{len(runs)} runs in {out}; the table is in {out / RESULTS}")
-    return found
+    return told
 
 
 def _cell(scatter: Any, scale: float) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 
 import numpy as np
@@ -105,7 +105,7 @@ def same_test_picture(accounts: Mapping[str, Run], colours: Mapping[str, str], d
     return picture.getvalue()
 
 
-def _draw_accounts(axes: Sequence, sensor: str, found: Mapping[str, FrequencyResponse], colours: Mapping[str, str],
+def _draw_accounts(axes: np.ndarray, sensor: str, found: Mapping[str, FrequencyResponse], colours: Mapping[str, str],
                    top: float) -> None:
     near: np.ndarray | None = None
     for name, response in found.items():

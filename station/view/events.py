@@ -31,7 +31,8 @@ def find_events(run: Run, limit: float, status_names: Mapping[int, str] | None =
     events += [Event(first, "INFO", f"arm stands still for {(last - first) / rate * 1e3:.0f} ms, "
                                     f"command up to {np.abs(run.command[first:last]).max():.0f} counts")
                for first, last in _stretches(still) if last - first >= STUCK_SECONDS * rate]
-    waits = (run.metadata.firmware or {}).get("virtual_time")    # a simulated device in lockstep, where none is late
+    firmware = run.metadata.firmware
+    waits = isinstance(firmware, dict) and firmware.get("virtual_time")     # a device in lockstep, where none is late
     if run.slack is not None and not waits:
         events += [Event(int(row), "WARN", f"answered {-1e3 * run.slack[row]:.1f} ms late")
                    for row in np.flatnonzero(np.nan_to_num(run.slack, nan=1.0) < 0.0)]
