@@ -60,8 +60,8 @@ def test_it_tests_and_diagnoses_until_decided(station, tmp_path, diagnosed):
 
 
 def test_programs_are_told_the_runs_and_the_diagnosis_alone(station, tmp_path, diagnosed):
-    ended = station("investigate", "--port", "sim://sflr", "--rig", "sflr", "--out", tmp_path / "found", "--first", FIRST,
-                    "--effort", "quick", "--json", "-")
+    ended = station("investigate", "--port", "sim://sflr", "--rig", "sflr", "--out", tmp_path / "found",
+                    "--first", FIRST, "--effort", "quick", "--json", "-")
     assert ended.status == 0, ended.err
     found = json.loads(ended.out)
     assert found["outcome"] == "decided" and found["diagnosis"]["verdict"] == "explained"
