@@ -22,8 +22,9 @@ def table(header: Sequence[object], rows: Iterable[Sequence[object]], caption: s
     return f"<table>{above}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def plot(t: np.ndarray, lines: Mapping[str, np.ndarray], label: str, width: int = WIDTH, height: int = HEIGHT) -> str:
-    """Lines (n) over time t (n), s, as an SVG that says in words what it shows."""
+def plot(t: np.ndarray, lines: Mapping[str, np.ndarray], label: str, width: int = WIDTH, height: int = HEIGHT,
+         ranges: bool = True) -> str:
+    """Lines (n) over time t (n), s, as an SVG that says in words what it shows; ``ranges``: label and ranges below."""
     values = np.concatenate([np.asarray(line, dtype=float) for line in lines.values()])
     values = values[np.isfinite(values)]
     low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
@@ -38,8 +39,13 @@ def plot(t: np.ndarray, lines: Mapping[str, np.ndarray], label: str, width: int 
         drawn.append(f'<polyline fill="none" stroke="{colour}" stroke-width="1.3" points="{points}">'
                      f"<title>{escape(name)}</title></polyline>")
     words = escape(f"{label}: {', '.join(lines)}; {low:.4g} to {high:.4g}, {t[0]:.3g} to {t[-1]:.3g} s", quote=True)
+    below = ""
+    if ranges:
+        below = (f'<text x="0" y="{height + 14}" font-size="12" font-family="sans-serif" fill="#777">{escape(label)}: '
+                 f"{low:.4g} to {high:.4g}, {t[0]:.3g} to {t[-1]:.3g} s</text>")
+        height += 20
     return (f'<svg role="img" aria-label="{words}" viewBox="0 0 {width} {height}" width="{width}" height="{height}" '
-            f'xmlns="http://www.w3.org/2000/svg"><title>{words}</title>{"".join(drawn)}</svg>')
+            f'xmlns="http://www.w3.org/2000/svg"><title>{words}</title>{"".join(drawn)}{below}</svg>')
 
 
 def legend(names: Iterable[str]) -> str:

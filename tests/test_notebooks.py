@@ -10,6 +10,8 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 
+import station as st
+
 ROOT = Path(__file__).resolve().parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
@@ -41,3 +43,7 @@ def test_a_notebook_uses_the_public_interface_alone_and_keeps_no_output(path):
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else (
                 [node.module] if isinstance(node, ast.ImportFrom) else [])
             assert not [name for name in names if name.startswith("station.")]
+            if isinstance(node, ast.ImportFrom):
+                assert node.module != "station", "import station as st"
+            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "st":
+                assert node.attr in st.__all__

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from station.cli.options import Json, Overwrite, command, need_outputs
-from station.cli.terminal import console, note, number, progress, row, say, table, write_json
+from station.cli.terminal import as_json, console, note, number, progress, row, say, table, write_json
 from station.errors import UsageError, WorkError
 
 if TYPE_CHECKING:
@@ -71,9 +71,7 @@ def campaign(
     found = summary(results)
     write_json(out / "summary.json", found)
     write_campaign(found, out / "report.html", plan.name)
-    if json is not None:
-        write_json(json, found)
-    if json != "-":
+    if not as_json(json, found):
         _show(found)
         say(f"{out / 'report.html'}, {out / 'summary.json'}")
     if results.failed:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from station.cli.options import Baud, Json, Overwrite, Port, RigName, command, need_outputs
-from station.cli.terminal import console, note, number, progress, row, say, table, write_json
+from station.cli.terminal import as_json, console, note, number, progress, row, say, table
 
 if TYPE_CHECKING:
     from station.device.server import Addresses
@@ -27,11 +27,9 @@ def ports(json: Json = None, overwrite: Overwrite = False) -> None:
     need_outputs(json, overwrite=overwrite)
     found = list_ports()
     simulated = [f"sim://{name}" for name in builtin_rigs()]
-    if json:
-        write_json(json, {"ports": [{"port": port.path, "description": port.description, "hardware": port.hardware}
-                                    for port in found], "simulated": simulated})
-        if json == "-":
-            return
+    if as_json(json, {"ports": [{"port": port.path, "description": port.description, "hardware": port.hardware}
+                                for port in found], "simulated": simulated}):
+        return
     shown = table("", "port", "description")
     for port in found:
         row(shown, port.path, port.description)
@@ -59,10 +57,8 @@ def loopback(
     with open_port(port, baud) as line:
         found = exchange(line, rate, seconds)
         counters = Client(line).statistics()._asdict()
-    if json:
-        write_json(json, {**asdict(found), "counters": counters})
-        if json == "-":
-            return
+    if as_json(json, {**asdict(found), "counters": counters}):
+        return
     say(f"{'Good' if found.ok else 'Not good'}: {found.identity.board} on {port}")
     for words in found.verdict:
         say(f"  {words}")
@@ -97,10 +93,8 @@ def check(
     raise_interrupt()
     with open_port(port, baud) as line, progress(f"check on {port}") as update:
         found = check_rig(line, model, amplitude, lambda row, rows: update(row / rows))
-    if json:
-        write_json(json, asdict(found))
-        if json == "-":
-            return
+    if as_json(json, asdict(found)):
+        return
     say(f"{'Passed' if found.passed else 'Not passed'}: {model.name} on {port}")
     for words in found.words:
         say(f"  {words}")

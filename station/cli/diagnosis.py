@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from station.cli.options import Json, Overwrite, RigName, RunFiles, command, load_runs, need_outputs
-from station.cli.terminal import console, progress, say, write_json, write_text
+from station.cli.terminal import STDOUT, console, progress, say, write_json, write_text
 
 if TYPE_CHECKING:
     from station.diagnose.result import DiagnosisResult
@@ -43,10 +43,11 @@ def diagnose(
         result = find(nominal, loaded, effort=effort, progress=lambda text, share: update(share, text))
     result = with_files(result, files)
     save(result, json=json, report=report, rig=save_rig)
-    if json != "-":
-        print_diagnosis(result, console(), rig)
-        if save_rig is not None and not result.diagnosis.causes:
-            say(f"{save_rig}: {nominal.name}, its constants re-fitted within their uncertainty; no effect was added")
+    if json == STDOUT:
+        return
+    print_diagnosis(result, console(), rig)
+    if save_rig is not None and not result.diagnosis.causes:
+        say(f"{save_rig}: {nominal.name}, its constants re-fitted within their uncertainty; no effect was added")
 
 
 def with_files(result: DiagnosisResult, files: Mapping[str, Path]) -> DiagnosisResult:

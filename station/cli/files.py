@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from station.cli.options import Json, Out, Overwrite, RunFile, RunFiles, command, load_runs, need_outputs, rig_of
-from station.cli.terminal import console, number, one_line, row, say, table, write_json
+from station.cli.terminal import as_json, console, number, one_line, row, say, table
 from station.cli.terminal import note as note_
 from station.errors import UsageError
 
@@ -27,31 +27,38 @@ def import_(
     run: RunFile, out: Out, rig: RigOrNone = None,
     zero_id: Annotated[str | None, typer.Option("--zero-id", metavar="NAME", help=(
         "Runs with the same name share one encoder zero."))] = None,
-    overwrite: Overwrite = False,
+    json: Json = None, overwrite: Overwrite = False,
 ) -> None:
     """Read a CSV, Parquet, MAT or tab-separated laboratory log and keep it as a run (.mcap)."""
     from station.rig import load_rig
     from station.runs import import_run
 
-    need_outputs(out, overwrite=overwrite, inputs=[run, rig])
+    need_outputs(out, json, overwrite=overwrite, inputs=[run, rig])
     described = load_rig(rig).model_dump(exclude_none=True) if rig else None
     done = import_run(run, out, overwrite=overwrite, rig=described, zero_id=zero_id)
-    say(_written(out, done, run))
+    _tell(json, out, done, run)
 
 
 @command(app, "export", PANEL, "station export step.mcap --out step.csv")
-def export(run: RunFile, out: Out, overwrite: Overwrite = False) -> None:
+def export(run: RunFile, out: Out, json: Json = None, overwrite: Overwrite = False) -> None:
     """Write a run as .csv, .parquet, .mat, .rrd (Rerun) or .mcap."""
     from station.runs import export_run, load_run
 
-    need_outputs(out, overwrite=overwrite, inputs=[run])
+    need_outputs(out, json, overwrite=overwrite, inputs=[run])
     done = load_run(run)
     export_run(done, out, overwrite)
-    say(_written(out, done, run))
+    _tell(json, out, done, run)
 
 
-def _written(out: Path, run: Run, source: Path) -> str:
-    return f"{out}: {len(run)} rows at {run.sample_rate:g} Hz from {source}"
+def written(out: Path, run: Run, source: Path) -> dict[str, Any]:
+    """What a program is told of a run file that was written."""
+    return {"file": out, "source": source, "run": run.name, "rows": len(run), "sample_rate": run.sample_rate,
+            "test": run.metadata.test, "controller": run.metadata.controller}
+
+
+def _tell(json: str | None, out: Path, run: Run, source: Path) -> None:
+    if not as_json(json, written(out, run, source)):
+        say(f"{out}: {len(run)} rows at {run.sample_rate:g} Hz from {source}")
 
 
 @command(app, "runs", PANEL, "station runs demo/runs --test step")
@@ -82,8 +89,7 @@ def runs(
 
         write_page(folder / PAGE, runs_html(folder, found))
         note_(f"{folder / PAGE}: {len(found)} runs")
-    if json:
-        write_json(json, {"runs": [_listed(item) for item in found]})
+    if as_json(json, {"runs": [_listed(item) for item in found]}):
         return
     shown = table("", "run", "test", "controller", "rig", "began", "s", "Hz", "tags", "remarks")
     for item in found:
@@ -114,16 +120,21 @@ def note(
     text: Annotated[str | None, typer.Argument(metavar="TEXT", help="A note to add.")] = None,
     tag: Annotated[list[str] | None, typer.Option("--tag", metavar="TAG", help="Add a tag; may be repeated.")] = None,
     untag: Annotated[list[str] | None, typer.Option("--untag", metavar="TAG", help="Take a tag away.")] = None,
+    json: Json = None, overwrite: Overwrite = False,
 ) -> None:
     """Add a note or tags to a run, or show those it has; they are kept beside its file."""
     from station.runs import annotate, load_run
     from station.runs.notes import notes_of, tags_of
 
+    need_outputs(json, overwrite=overwrite, inputs=[run])
     metadata = load_run(run).metadata
     if text or tag or untag:
         annotate(run, tags=tag, without=untag, note=text)
-    say(f"{run}: tags: {', '.join(tags_of(run, metadata)) or 'none'}")
-    for said in notes_of(run, metadata):
+    tags, notes = tags_of(run, metadata), notes_of(run, metadata)
+    if as_json(json, {"file": run, "tags": list(tags), "notes": list(notes)}):
+        return
+    say(f"{run}: tags: {', '.join(tags) or 'none'}")
+    for said in notes:
         say(f"  {one_line(said)}")
 
 
@@ -134,23 +145,25 @@ def trim(
         "First row's time, s; the arm must rest there. By default the beginning."))] = None,
     end: Annotated[float | None, typer.Option("--to", metavar="S", help=(
         "Last row's time, s; by default the end."))] = None,
-    overwrite: Overwrite = False,
+    json: Json = None, overwrite: Overwrite = False,
 ) -> None:
     """Cut a run: the rows from one time to another, as a run of its own; the original stays as it is."""
     from station.runs import trim as cut
 
-    need_outputs(out, overwrite=overwrite, inputs=[run])
+    need_outputs(out, json, overwrite=overwrite, inputs=[run])
     done = cut(run, out, begin, end, overwrite=overwrite)
-    say(_written(out, done, run))
+    _tell(json, out, done, run)
 
 
 @command(app, "recover", PANEL, "station recover broken.mcap --out whole.mcap")
-def recover(run: RunFile, out: Out, overwrite: Overwrite = False) -> None:
+def recover(run: RunFile, out: Out, json: Json = None, overwrite: Overwrite = False) -> None:
     """Complete a log that was cut short into a copy that other programs open; the original stays as it is."""
     from station.runs import recover as rescue
 
-    need_outputs(out, overwrite=overwrite, inputs=[run])
+    need_outputs(out, json, overwrite=overwrite, inputs=[run])
     found = rescue(run, out, overwrite=overwrite)
+    if as_json(json, {"file": out, "source": run, "rows": found.rows, "cut_short": found.cut_short or None}):
+        return
     state = f"the log ends early ({found.cut_short})" if found.cut_short else "the log was complete"
     say(f"{out}: {found.rows} rows; {state}")
 
@@ -190,13 +203,11 @@ def replay(
             item = changed(item, metadata=item.metadata.model_copy(update={"controller": spec}))
         results.append((item, compare_replay(item, limit, shaped=shaped, tolerance=tolerance)))
     simulated = _simulated(model, [item for item, _ in results], save) if model is not None else []
-    if json:
-        write_json(json, {"runs": [
+    if as_json(json, {"runs": [
             {"run": item.name, "max_abs_difference": found.max_abs_difference, "row": found.row, "same": found.same,
              "rows_beyond": found.rows_beyond, "note": found.note, **({"model": simulated[i]} if simulated else {})}
-            for i, (item, found) in enumerate(results)]})
-        if json == "-":
-            return
+            for i, (item, found) in enumerate(results)]}):
+        return
     for i, (item, found) in enumerate(results):
         say(f"{item.name}: largest difference {number(found.max_abs_difference)} counts, row {found.row} of "
             f"{len(item)}; {found.note if controller is None else f'as {controller} would have had it'}")

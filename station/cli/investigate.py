@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from station.cli.options import Force, Port, RigName, command
-from station.cli.terminal import console, note, progress, say
+from station.cli.options import Force, Json, Overwrite, Port, RigName, command, need_outputs
+from station.cli.terminal import as_json, console, note, progress, say, spoken
 from station.errors import UsageError, WorkError
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def investigate(
     effort: Annotated[Literal["quick", "full"], typer.Option("--effort", help="As in station diagnose.")] = "full",
     cap: Annotated[float | None, typer.Option("--cap", min=1.0, metavar="COUNTS", help=(
         "Largest amplitude of any test, besides what the rig's [limits] allow."))] = None,
-    force: Force = False,
+    force: Force = False, json: Json = None, overwrite: Overwrite = False,
 ) -> None:
     """Run tests, each chosen by what those before left open, until it is decided what the simulation gets wrong.
 
@@ -48,6 +48,7 @@ def investigate(
     from station.rig import load_rig
     from station.view.terminal import print_diagnosis
 
+    need_outputs(json, overwrite=overwrite, inputs=[rig])
     model = load_rig(rig)
     asked = None if first is None else first_test(first, model)
     kept = Folder(out, model, cap, force)
@@ -56,13 +57,15 @@ def investigate(
         with progress(f"diagnosing {len(runs)} run{'s' if len(runs) > 1 else ''}") as update:
             return diagnose(nominal, runs, effort, lambda text, share: update(share, text))
 
-    with open_port(port) as line:
+    with spoken(json), open_port(port) as line:
         kept.make()
         try:
             found = search(model, partial(kept.run, line), find, budget=budget, first=asked,
                            on_step=partial(_tell, kept))
         finally:
             kept.report()
+    if as_json(json, kept.told(found)):
+        return
     say()
     say(f"{ENDS[found.outcome or 'budget']}: {found.why}.")
     print_diagnosis(found.result, console(), rig)
@@ -159,6 +162,14 @@ class Folder:
 
         self.found = with_files(found.result, self.files)
         save(self.found, json=self.path / "diagnosis.json", report=None, rig=self.path / "extended_rig.toml")
+
+    def told(self, found: Investigation) -> dict[str, Any]:
+        """For programs: how it ended, the runs and the verdict after each, the last diagnosis."""
+        assert self.found is not None
+        return {"outcome": found.outcome or "budget", "why": found.why,
+                "runs": [{"file": self.files[step.run.name], "test": step.run.metadata.test, "why": step.why,
+                          "verdict": step.result.diagnosis.verdict} for step in found.steps],
+                "diagnosis": self.found.diagnosis.model_dump(mode="json", by_alias=True)}
 
     def report(self) -> None:
         """Write the report of the last diagnosis, where there is one."""

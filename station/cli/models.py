@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from station.cli.files import written
 from station.cli.options import Json, Out, Overwrite, RigName, RunFiles, command, load_runs, need_outputs
-from station.cli.terminal import console, number, progress, row, say, table, write_json, write_text
+from station.cli.terminal import as_json, console, number, progress, row, say, table, write_text
 from station.errors import UsageError
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ PANEL = "Model and diagnosis"
 @command(app, "simulate", PANEL, "station simulate --rig sflr --like step.mcap --out simulated.csv")
 def simulate(rig: RigName, like: Annotated[Path, typer.Option("--like", metavar="RUN", help=(
                  "Run whose reference, controller and length are taken."))],
-             out: Out, overwrite: Overwrite = False) -> None:
+             out: Out, json: Json = None, overwrite: Overwrite = False) -> None:
     """Do the test of a logged run on a rig's model, and write what comes out as a run."""
     from station.api import simulate as simulated
     from station.rig import load_rig
@@ -31,10 +32,11 @@ def simulate(rig: RigName, like: Annotated[Path, typer.Option("--like", metavar=
 
     model = load_rig(rig)
     run = load_run(like)
-    need_outputs(out, overwrite=overwrite, inputs=[like, rig])
+    need_outputs(out, json, overwrite=overwrite, inputs=[like, rig])
     made = simulated(model, run, name=out.stem)
     export_run(made, out, overwrite=overwrite)
-    say(f"{out}: {len(made)} rows, the test of {like} on {model.name}")
+    if not as_json(json, written(out, made, like)):
+        say(f"{out}: {len(made)} rows, the test of {like} on {model.name}")
 
 
 @command(app, "compare", PANEL, "station compare --rig sflr step.mcap pulse.mcap")
@@ -46,10 +48,8 @@ def compare(runs: RunFiles, rig: RigName, json: Json = None, overwrite: Overwrit
     need_outputs(json, overwrite=overwrite, inputs=[rig, *runs])
     model = load_rig(rig)
     found = against(model, load_runs(runs)).measures
-    if json:
-        write_json(json, {"runs": found})
-        if json == "-":
-            return
+    if as_json(json, {"runs": found}):
+        return
     console().print(comparison_table(model.name, found))
 
 
@@ -88,16 +88,15 @@ def fit(
     need_outputs(save_rig, json, overwrite=overwrite, inputs=[rig, *runs])
     model, loaded = load_rig(rig), load_runs(runs)
     with progress("fitting") as update:
-        found = fit_rig(model, loaded, hold, domain=domain, starts=starts, progress=lambda text: update(None, text))
+        found = fit_rig(model, loaded, hold, domain=domain, starts=starts,
+                        progress=lambda text, share: update(share, text))
     if save_rig is not None:
         write_text(save_rig, found.rig.to_toml())
-    if json is not None:
-        write_json(json, {
-            "constants": [asdict(constant) for constant in found.constants],
-            "held": list(found.held), "flat": [str(direction) for direction in found.flat],
-            "warnings": list(found.warnings), "chi2": found.chi2, "chi2_nominal": found.chi2_nominal})
-    if json != "-":
-        say(found.table())
+    if as_json(json, {"constants": [asdict(constant) for constant in found.constants],
+                      "held": found.held, "flat": [str(direction) for direction in found.flat],
+                      "warnings": found.warnings, "chi2": found.chi2, "chi2_nominal": found.chi2_nominal}):
+        return
+    say(found.table())
 
 
 @command(app, "bode", PANEL, "station bode --rig sflr --run sweep.mcap --out bode.svg")
@@ -106,15 +105,21 @@ def bode(
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Figure to write: .png, .svg or .pdf.")],
     run: Annotated[Path | None, typer.Option("--run", metavar="RUN", help=(
         "Run whose measured response and coherence are drawn as well; a sweep is best."))] = None,
-    overwrite: Overwrite = False,
+    json: Json = None, overwrite: Overwrite = False,
 ) -> None:
     """Draw the frequency responses of a rig: finite elements, continuous beam, and a run's if one is given."""
     from station.rig import load_rig
     from station.runs import load_run
-    from station.view.bode import bode_figure
+    from station.view.bode import bode_figure, response_table, responses
 
-    need_outputs(out, overwrite=overwrite, inputs=[rig, run])
+    need_outputs(out, json, overwrite=overwrite, inputs=[rig, run])
     if out.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise UsageError(f"--out {out}: a figure's name ends in .png, .svg or .pdf")
-    bode_figure(load_rig(rig), None if run is None else load_run(run)).savefig(out)
+    model, log = load_rig(rig), None if run is None else load_run(run)
+    bode_figure(model, log).savefig(out)
+    if json is not None:
+        found, measured, _ = responses(model, log)
+        told = {name: response_table(response) for name, response in found.items()}
+        if as_json(json, {"file": out, **told, **({} if measured is None else {"measured": response_table(measured)})}):
+            return
     say(f"{out}: {rig}" + ("" if run is None else f" and {run}"))

@@ -28,7 +28,7 @@ RunFile = Annotated[Path, typer.Argument(metavar="RUN", help=(
 RunFiles = Annotated[list[Path], typer.Argument(metavar="RUN...", help=(
     "Run files: .mcap, .csv, .parquet, .mat, or a laboratory's tab-separated .txt."))]
 Json = Annotated[str | None, typer.Option("--json", metavar="FILE", help=(
-    "Write the result as JSON to FILE; - for standard output."))]
+    "Write the result as JSON to FILE; - for standard output, where nothing else is then written."))]
 Out = Annotated[Path, typer.Option("--out", metavar="FILE", help="File to write; its ending chooses the form.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the output file where it exists.")]
 

@@ -22,8 +22,8 @@ _FIGURES = {"overshoot": ("overshoot, %", 1.0), "rise": ("rise, s", 1.0), "settl
 
 
 def run_plan(path: Path, port: str, rig: Rig, out: Path, *, force: bool = False, realtime: bool = False,
-             view: bool = False, baud: int | None = None) -> None:
-    """Run what is left of a plan, keep each run in ``out``, and say what all of them come to."""
+             view: bool = False, baud: int | None = None) -> dict[str, Any]:
+    """Run what is left of a plan, keep each run in ``out``, and say what all of them come to; the same for programs."""
     from station.device.port import open_port
     from station.loop.plan import load_plan
 
@@ -47,8 +47,8 @@ def run_plan(path: Path, port: str, rig: Rig, out: Path, *, force: bool = False,
         note(f"{len(runs)} of {len(plan.trials)} runs are made; the same command goes on from here")
         raise
     finally:
-        if runs:
-            _tell(plan, runs, out)
+        found = _tell(plan, runs, out) if runs else {}
+    return found
 
 
 def _controller(name: str, folder: Path, rig: Rig) -> dict[str, Any]:
@@ -100,7 +100,7 @@ def _home(runs: dict[Trial, Run], zero_id: str, encoder: int) -> int:
     return encoder
 
 
-def _tell(plan: Plan, runs: dict[Trial, Run], out: Path) -> None:
+def _tell(plan: Plan, runs: dict[Trial, Run], out: Path) -> dict[str, Any]:
     """The table of all tests, with the scatter between repeats; the same as JSON in the folder."""
     from station.runs.quality import Scatter, quality, repeatability
 
@@ -122,9 +122,11 @@ def _tell(plan: Plan, runs: dict[Trial, Run], out: Path) -> None:
             "runs": [{"file": trial.file_name, "repeat": trial.repeat, **each.as_dict()}
                      for trial, each in zip(made, found, strict=True)]})
     console().print(shown)
-    write_json(out / RESULTS, {"plan": f"{plan.name}.{plan.key}", "seed": plan.seed, "order": plan.order,
-                               "rig": plan.rig.name, "tests": written})
+    told = {"plan": f"{plan.name}.{plan.key}", "seed": plan.seed, "order": plan.order, "rig": plan.rig.name,
+            "tests": written}
+    write_json(out / RESULTS, told)
     say(f"{len(runs)} runs in {out}; the table is in {out / RESULTS}")
+    return told
 
 
 def _cell(scatter: Any, scale: float) -> str:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import inspect
 import threading
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from station.cli.options import Baud, Force, Overwrite, Port, RigName, RunFile, command, need_folder
-from station.cli.terminal import note, number, progress, say
+from station.cli.options import Baud, Force, Json, Overwrite, Port, RigName, RunFile, command, need_folder, need_outputs
+from station.cli.terminal import as_json, note, number, progress, say, spoken
 from station.control.named import OPEN
 from station.errors import StationError, UsageError
 
@@ -141,6 +142,17 @@ def summary(result: LoopResult, out: Path) -> str:
     return "\n".join(lines)
 
 
+def counted(result: LoopResult, out: Path) -> dict[str, Any]:
+    """The same for programs; times in s, counts as in the log's metadata."""
+    entries = result.metadata.entries()
+    return {"file": out, "run": out.stem, "rows": result.counts.samples, "sample_rate": entries["rig"]["sample_rate"],
+            "test": result.metadata.test, "controller": result.metadata.controller, "seconds": result.seconds,
+            "virtual_time": result.identity.virtual_time, "counts": asdict(result.counts),
+            "latency": result.latency.as_dict(), "histogram": result.histogram.as_dict(),
+            "without_command": late_share(result), "clipped_rows": result.clipped, "check": entries.get("check"),
+            "realtime": None if result.realtime is None else result.realtime.words()}
+
+
 def duration(result: LoopResult) -> str:
     """Seconds of device time that a test took."""
     return number(result.counts.samples / float(result.metadata.entries()["rig"]["sample_rate"]))
@@ -161,13 +173,14 @@ def need_log(out: Path) -> None:
 def single(port: str, rig: str, out: Path, asked: dict[str, Any], reference: np.ndarray | None = None, *,
            controller: str | None, gain: float | None, zero: float | None, pole: float | None, overwrite: bool,
            view: bool, force: bool, realtime: bool, tags: list[str] | None, note_: str | None,
-           baud: int | None) -> None:
+           baud: int | None, json: str | None) -> None:
     """Run one test from the command line and say how it went."""
     from station.cli.controllers import controller_spec
     from station.device.port import open_port
     from station.rig import load_rig
 
     need_log(out)
+    need_outputs(out, json, overwrite=overwrite, inputs=[rig])
     model = load_rig(rig)
     spec = controller_spec(controller or ("open" if asked["kind"] in OPEN else "p"), model.sample_rate, gain=gain,
                            zero=zero, pole=pole)
@@ -184,7 +197,8 @@ def single(port: str, rig: str, out: Path, asked: dict[str, Any], reference: np.
             if out.exists() and (overwrite or not before):
                 note(f"the rows so far are in {out}")
             raise
-    say(summary(result, out))
+    if not as_json(json, counted(result, out)):
+        say(summary(result, out))
 
 
 def _command_for(kind: str) -> Callable[..., None]:
@@ -193,10 +207,11 @@ def _command_for(kind: str) -> Callable[..., None]:
 
     def run(port: Port, rig: RigName, out: Log, controller: Controller = None, gain: Gain = None, zero: Zero = None,
             pole: Pole = None, overwrite: Overwrite = False, view: View = False, force: Force = False,
-            realtime: RealTime = False, tag: Tags = None, note: Note = None, baud: Baud = None, **test: Any) -> None:
+            realtime: RealTime = False, tag: Tags = None, note: Note = None, baud: Baud = None, json: Json = None,
+            **test: Any) -> None:
         asked = {"kind": kind, **{key: value for key, value in test.items() if value is not None}}
         single(port, rig, out, asked, controller=controller, gain=gain, zero=zero, pole=pole, overwrite=overwrite,
-               view=view, force=force, realtime=realtime, tags=tag, note_=note, baud=baud)
+               view=view, force=force, realtime=realtime, tags=tag, note_=note, baud=baud, json=json)
 
     hints = {name: hint for name, hint in inspect.get_annotations(run, eval_str=True).items() if name != "test"}
     common = [parameter.replace(annotation=hints[parameter.name])
@@ -223,7 +238,7 @@ for _kind in KINDS:
 def recorded(
     run: RunFile, port: Port, rig: RigName, out: Log, controller: Controller = None, gain: Gain = None,
     zero: Zero = None, pole: Pole = None, overwrite: Overwrite = False, view: View = False, force: Force = False,
-    realtime: RealTime = False, tag: Tags = None, note: Note = None, baud: Baud = None,
+    realtime: RealTime = False, tag: Tags = None, note: Note = None, baud: Baud = None, json: Json = None,
 ) -> None:
     """The reference of a logged run once more; under --controller open its commands."""
     from station.loop.plan import recorded_reference
@@ -232,7 +247,7 @@ def recorded(
     need_log(out)
     reference, asked = recorded_reference(run, load_rig(rig).sample_rate, controller == "open")
     single(port, rig, out, asked, reference, controller=controller, gain=gain, zero=zero, pole=pole,
-           overwrite=overwrite, view=view, force=force, realtime=realtime, tags=tag, note_=note, baud=baud)
+           overwrite=overwrite, view=view, force=force, realtime=realtime, tags=tag, note_=note, baud=baud, json=json)
 
 
 @group.callback(invoke_without_command=True)
@@ -244,11 +259,12 @@ def _run(
     rig: Annotated[str | None, typer.Option("--rig", metavar="RIG", help="With --plan: as for a KIND.")] = None,
     out: Annotated[Path | None, typer.Option("--out", metavar="FOLDER", help=(
         "With --plan: folder of the runs."))] = None,
-    force: Force = False, realtime: RealTime = False, view: View = False, baud: Baud = None,
+    force: Force = False, realtime: RealTime = False, view: View = False, baud: Baud = None, json: Json = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Run one test on a device and log it, or a plan of tests; the motor is commanded to zero on every way out."""
     if context.invoked_subcommand is not None:
-        if plan or port or rig or out:
+        if plan or port or rig or out or json:
             raise UsageError(f"options of a test stand behind its kind: station run {context.invoked_subcommand} ...")
         return
     if plan is None:
@@ -259,7 +275,10 @@ def _run(
     from station.cli.plan import run_plan
     from station.rig import load_rig
 
-    run_plan(plan, port, load_rig(rig), out, force=force, realtime=realtime, view=view, baud=baud)
+    need_outputs(json, overwrite=overwrite, inputs=[plan, rig])
+    with spoken(json):
+        found = run_plan(plan, port, load_rig(rig), out, force=force, realtime=realtime, view=view, baud=baud)
+    as_json(json, found)
 
 
 app.add_typer(group, name="run", rich_help_panel=PANEL, epilog=(

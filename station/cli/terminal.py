@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 PIPED_WIDTH = 200
+STDOUT = "-"
+"""For `--json`: standard output."""
 
 
 def printable(text: object) -> str:
@@ -74,10 +76,38 @@ def quantity(value: float, unit: str, digits: int = 4) -> str:
     return number(value, digits) if unit in ("", "1") else f"{number(value, digits)} {unit}"
 
 
+def as_json(target: str | Path | None, content: Any) -> bool:
+    """Write a command's result where ``--json`` says; True where it took standard output, which is then its alone."""
+    if target is None:
+        return False
+    write_json(target, content)
+    return str(target) == STDOUT
+
+
+@contextmanager
+def spoken(target: str | Path | None) -> Iterator[None]:
+    """What is said and shown meanwhile goes to standard error where ``--json`` takes standard output."""
+    with redirect_stdout(sys.stderr) if str(target) == STDOUT else nullcontext():
+        yield
+
+
+def _plain(content: Any) -> Any:
+    """What JSON can say: paths as text, NumPy's numbers as numbers, and null for a figure that there is not."""
+    if isinstance(content, Mapping):
+        return {str(key): _plain(value) for key, value in content.items()}
+    if isinstance(content, list | tuple):
+        return [_plain(value) for value in content]
+    if hasattr(content, "tolist"):
+        return _plain(content.tolist())
+    if isinstance(content, float) and not math.isfinite(content):
+        return None
+    return str(content) if isinstance(content, Path) else content
+
+
 def write_json(target: str | Path, content: Any) -> None:
     """Write JSON to a file, or to standard output for ``-``."""
-    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
-    if str(target) == "-":
+    text = json.dumps(_plain(content), indent=1, ensure_ascii=False, allow_nan=False)
+    if str(target) == STDOUT:
         print(text, flush=True)
     else:
         write_text(target, text + "\n")

@@ -27,7 +27,7 @@ HELD = ("beam.mass_per_length", "motor.inertia")
 
 
 def fit(rig: Rig, runs: Sequence[Run], hold: Sequence[str] | None = None, *, domain: str = "time", starts: int = 3,
-        bound: float = BOUND, seed: int = 0, progress: Callable[[str], None] | None = None) -> FitResult:
+        bound: float = BOUND, seed: int = 0, progress: Callable[[str, float], None] | None = None) -> FitResult:
     """Fit the rig's constants to runs.
 
     ``hold``: constants that stay as they are (default: beam.mass_per_length, without a beam motor.inertia), because
@@ -35,7 +35,7 @@ def fit(rig: Rig, runs: Sequence[Run], hold: Sequence[str] | None = None, *, dom
     the runs, "frequency" their measured responses with the model's, "both" does both.  ``starts``: the nominal rig,
     then draws from its stated uncertainty, within ``bound`` deviations of which the constants stay.  What the data
     do not say about a constant, the rig file's own uncertainty says.  UsageError names a constant or domain that is
-    not there.
+    not there.  ``progress(what, share)`` is called after each start.
     """
     constants = rig.constants()
     held = tuple(hold) if hold is not None else tuple([path for path in HELD if path in constants][:1])
@@ -61,7 +61,7 @@ def fit(rig: Rig, runs: Sequence[Run], hold: Sequence[str] | None = None, *, dom
 
 
 def _search(problem: Problem, held: tuple[str, ...], starts: int, bound: float, seed: int,
-            progress: Callable[[str], None] | None) -> FitResult:
+            progress: Callable[[str, float], None] | None) -> FitResult:
     middle, count = problem.start(), len(problem.paths)
     reach = np.concatenate([np.full(count, bound), np.tile([ANGLE, OFFSET], (problem.size - count) // 2)])
     rng, ends = np.random.default_rng(seed), []
@@ -71,7 +71,8 @@ def _search(problem: Problem, held: tuple[str, ...], starts: int, bound: float, 
             x[:count] = np.clip(rng.standard_normal(count), -0.9 * bound, 0.9 * bound)
         ends.append(descend(problem, x, middle - reach, middle + reach))
         if progress is not None:
-            progress(f"start {k + 1} of {max(starts, 1)}: mean squared residual {ends[-1][1]:.4g}")
+            progress(f"start {k + 1} of {max(starts, 1)}: mean squared residual {ends[-1][1]:.4g}",
+                     (k + 1) / max(starts, 1))
     best = min(ends, key=lambda end: end[1])
     agreeing = sum(mean <= best[1] * (1.0 + SAME) for _, mean in ends)
     nominal = float(np.mean(problem.residuals(middle) ** 2))

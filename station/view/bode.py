@@ -1,9 +1,14 @@
-"""The Bode figure: measured response and coherence beside the finite element and the continuous beam."""
+"""Bode figures: a measured response beside a rig's, and beside those of simulations of the same test."""
 
 from __future__ import annotations
 
+import io
+from collections.abc import Mapping
+from dataclasses import asdict
+
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from station.model.frequency import (
     FrequencyResponse,
@@ -15,6 +20,8 @@ from station.rig import Rig
 from station.runs.run import Run
 
 TITLES = {"encoder": "command → encoder", "accel": "command → accelerometer"}
+COHERENT = 0.5
+"""Below this coherence most of a reading has another source than the command: no response is drawn."""
 LINES = {"finite elements": {"linestyle": "-", "linewidth": 1.6},
          "transfer matrices": {"linestyle": "--", "linewidth": 1.6}}
 
@@ -29,13 +36,7 @@ def bode_figure(rig: Rig, run: Run | None = None, *, lowest: float = 0.1, highes
     of luck.  With a run the frequencies are those that its command excites, unless ``lowest`` and
     ``highest`` (Hz) say less.
     """
-    measured = None if run is None else measured_response(run)
-    top = 0.499 * rig.sample_rate if highest is None else min(highest, 0.499 * rig.sample_rate)
-    if measured is not None and highest is None:
-        top = min(top, excited(run))
-    frequency = np.geomspace(lowest, top, points)
-    models = {"finite elements": finite_element_response(rig.meshed(), frequency),
-              "transfer matrices": transfer_matrix_response(rig, frequency)}
+    models, measured, top = responses(rig, run, lowest=lowest, highest=highest, points=points)
     sensors = ["encoder"] if models["finite elements"].accel is None else ["encoder", "accel"]
     rows = 2 if measured is None else 3
     figure = Figure(figsize=(5.2 * len(sensors), 2.4 * rows), layout="constrained")
@@ -47,6 +48,92 @@ def bode_figure(rig: Rig, run: Run | None = None, *, lowest: float = 0.1, highes
         axes[row, 0].set_ylabel(label)
     axes[0, 0].legend()
     return figure
+
+
+def responses(rig: Rig, run: Run | None = None, *, lowest: float = 0.1, highest: float | None = None,
+              points: int = 600) -> tuple[dict[str, FrequencyResponse], FrequencyResponse | None, float]:
+    """What the figure shows: the models' responses by name, the measured one if there is a run, the highest frequency.
+
+    WorkError where the run is too short for a response, or has none.
+    """
+    measured = None if run is None else measured_response(run)
+    top = 0.499 * rig.sample_rate if highest is None else min(highest, 0.499 * rig.sample_rate)
+    if measured is not None and highest is None:
+        top = min(top, excited(run))
+    frequency = np.geomspace(lowest, top, points)
+    return {"finite elements": finite_element_response(rig.meshed(), frequency),
+            "transfer matrices": transfer_matrix_response(rig, frequency)}, measured, top
+
+
+def response_table(response: FrequencyResponse) -> dict[str, list[float]]:
+    """For programs: frequency (Hz), magnitude (dB) and phase (deg, -180 to 180) of each sensor, and coherences."""
+    told = {"frequency": response.frequency.tolist()}
+    for name, values in asdict(response).items():
+        if values is None or name == "frequency":
+            continue
+        if np.iscomplexobj(values):
+            told[f"{name}_db"] = (20.0 * np.log10(np.abs(values))).tolist()
+            told[f"{name}_deg"] = np.rad2deg(np.angle(values)).tolist()
+        else:
+            told[name] = values.tolist()
+    return told
+
+
+def same_test_picture(accounts: Mapping[str, Run], colours: Mapping[str, str], dpi: int = 130) -> bytes:
+    """A PNG of the responses that a measured run and simulations of its test show, each estimated in the same way.
+
+    The first of ``accounts`` is the measured one; so an effect that no linear response has, such as friction, is seen
+    in both.  Magnitude and phase are drawn where the coherence is at least ``COHERENT``.  The resolution is 0.25 Hz,
+    coarser where the run is shorter than 16 s.  ``colours``: by account.
+    WorkError where there is no response: a command or an encoder that never moves, too few rows.
+    """
+    measured = next(iter(accounts.values()))
+    resolution = max(0.25, 4.0 * measured.sample_rate / len(measured.t))
+    found = {name: measured_response(run, resolution) for name, run in accounts.items()}
+    top = max(excited(measured), 4.0 * resolution)
+    sensors = [s for s in TITLES if all(getattr(response, s) is not None for response in found.values())]
+    figure = Figure(figsize=(5.2 * len(sensors), 7.2), layout="constrained")
+    axes = figure.subplots(3, len(sensors), sharex=True, squeeze=False)
+    for column, sensor in enumerate(sensors):
+        _draw_accounts(axes[:, column], sensor, found, colours, top)
+        axes[0, column].set_title(TITLES[sensor])
+    for row, label in enumerate(("magnitude, dB", "phase, deg", "coherence")):
+        axes[row, 0].set_ylabel(label)
+    axes[0, 0].legend()
+    picture = io.BytesIO()
+    figure.savefig(picture, format="png", dpi=dpi)
+    return picture.getvalue()
+
+
+def _draw_accounts(axes: np.ndarray, sensor: str, found: Mapping[str, FrequencyResponse], colours: Mapping[str, str],
+                   top: float) -> None:
+    near: np.ndarray | None = None
+    for name, response in found.items():
+        inside = response.frequency <= top
+        frequency, value = response.frequency[inside], getattr(response, sensor)[inside]
+        coherence = getattr(response, f"{sensor}_coherence")[inside]
+        if near is None:
+            near = _unwrapped(value, coherence >= COHERENT)
+        phase = near + np.angle(value * np.exp(-1j * near))
+        style = {"color": colours[name], "linewidth": 2.6 if name == "measured" else 1.4}
+        for axis, line in ((axes[0], 20.0 * np.log10(np.abs(value))), (axes[1], np.rad2deg(phase))):
+            axis.semilogx(frequency, np.where(coherence >= COHERENT, line, np.nan), label=name, **style)
+        axes[2].semilogx(frequency, coherence, **style)
+    axes[2].set_ylim(0.0, 1.05)
+    for axis in axes:
+        axis.grid(which="both", alpha=0.25)
+        axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.xaxis.set_major_formatter("{x:g}")
+        axis.xaxis.set_minor_formatter(NullFormatter())
+    axes[-1].set_xlabel("frequency, Hz")
+
+
+def _unwrapped(value: np.ndarray, certain: np.ndarray) -> np.ndarray:
+    """Phase, rad, unwrapped over the certain rows alone; the others lie on straight lines between them."""
+    rows = np.flatnonzero(certain)
+    if not rows.size:
+        return np.unwrap(np.angle(value))
+    return np.interp(np.arange(len(value)), rows, np.unwrap(np.angle(value[rows])))
 
 
 def excited(run: Run, share: float = 1e-4) -> float:

@@ -31,18 +31,25 @@ def find_events(run: Run, limit: float, status_names: Mapping[int, str] | None =
     events += [Event(first, "INFO", f"arm stands still for {(last - first) / rate * 1e3:.0f} ms, "
                                     f"command up to {np.abs(run.command[first:last]).max():.0f} counts")
                for first, last in _stretches(still) if last - first >= STUCK_SECONDS * rate]
-    if run.slack is not None:
+    firmware = run.metadata.firmware
+    waits = isinstance(firmware, dict) and firmware.get("virtual_time")     # a device in lockstep, where none is late
+    if run.slack is not None and not waits:
         events += [Event(int(row), "WARN", f"answered {-1e3 * run.slack[row]:.1f} ms late")
                    for row in np.flatnonzero(np.nan_to_num(run.slack, nan=1.0) < 0.0)]
+    events += [Event(first, "WARN", _lost(last - first)) for first, last in _stretches(~run.logged)]
     if run.n is not None:
         lost = np.diff(run.n) - 1
-        events += [Event(int(row) + 1, "WARN", f"{int(lost[row])} sample{'s' if lost[row] > 1 else ''} lost")
+        events += [Event(int(row) + 1, "WARN", _lost(int(lost[row])))
                    for row in np.flatnonzero(lost > 0)]
     for bit, name in (status_names or {}).items():
         if run.status is not None:
             set_ = (np.asarray(run.status).astype(np.int64) & bit) != 0
             events += [Event(first, "WARN", f"device says: {name}") for first, _ in _stretches(set_)]
     return sorted(events, key=lambda e: e.row)
+
+
+def _lost(count: int) -> str:
+    return f"{count} sample{'s' if count > 1 else ''} lost"
 
 
 def _stretches(mask: np.ndarray) -> Iterator[tuple[int, int]]:

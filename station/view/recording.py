@@ -1,10 +1,14 @@
-"""Recordings for Rerun: measured, nominal and extended beside each other on one timeline, the arm moving in space."""
+"""Recordings for Rerun: measured, nominal and extended beside each other on one timeline, the arm moving in space.
+
+Each run has its tab: the arm of each account and the events on the left; on the right the curves over time, and the
+frequency responses that run and simulations show.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,10 +16,13 @@ import numpy as np
 
 from station.diagnose.result import RunComparison
 from station.errors import WorkError
+from station.estimation.dataset import RATES
 from station.model.simulate import Simulation, simulate
 from station.rig import Rig
+from station.runs.files import new_file
 from station.runs.run import Run
 from station.view import arm
+from station.view.bode import same_test_picture
 from station.view.events import find_events
 
 if TYPE_CHECKING:
@@ -26,11 +33,13 @@ APPLICATION = "station"
 TIMELINE = "device_time"
 EXAGGERATION = 4.0
 """The beam's deflection is drawn so many times larger than it is."""
+BODE = "bode"
 FRAMES = 60.0
 """Pictures of the arm per second of device time; the curves keep every row."""
 
-COLOURS = {"reference": 0x8A919AFF, "measured": 0xB3B9C2FF, "nominal": 0xE8722EFF, "re-fitted": 0x9A8FBFFF,
+COLOURS = {"reference": 0x2AA198FF, "measured": 0x7D8894FF, "nominal": 0xE8722EFF, "re-fitted": 0x9A8FBFFF,
            "extended": 0x3D8BFDFF, "command": 0x5AA469FF}
+"""Red, green, blue, opacity; each is read on a light and on a dark ground."""
 WIDTHS = {"measured": 3.0}
 HEIGHTS = {"measured": 0.0, "nominal": 0.02, "re-fitted": 0.04, "extended": 0.04}
 """Where each arm turns, m above the measured one, so that none hides another."""
@@ -50,46 +59,54 @@ class _Source:
     encoder: np.ndarray
     accel: np.ndarray | None
     shape: np.ndarray | None = None
+    command: np.ndarray | None = None
 
 
-def write_recording(path: str | os.PathLike[str], runs: Sequence[Entry], rig: Rig, *,
+def write_recording(path: str | os.PathLike[str], runs: Sequence[Entry], rig: Rig, *, extended: Rig | None = None,
                     exaggeration: float = EXAGGERATION, status_names: Mapping[int, str] | None = None) -> None:
     """Write a recording that opens with one tab for each run.
 
     A comparison brings measured, nominal and extended (re-fitted where nothing was added), a bare run measured and
-    nominal, simulated on ``rig`` from the run's first readings.  Time is the device's, from the run's first sample.
-    ``status_names`` maps status bits to words.  An existing file is replaced.
-    WorkError where the file cannot be written.
+    nominal, simulated on ``rig`` from the run's first readings, and, where that is given, the same on ``extended``.
+    Time is the device's, from the run's first sample.  ``status_names`` maps status bits to words.  An existing file
+    is replaced; a file is written whole or not at all.  WorkError where it cannot be written, or a run's rate is not
+    the rig's.
     """
     import rerun as rr
 
     target = Path(path)
-    tabs = [_sources(entry, rig) for entry in runs]
+    if not target.parent.is_dir():
+        raise WorkError(f"{target}: cannot be written: no such folder")
+    tabs = [_sources(entry, rig, extended) for entry in runs]
     recording = rr.RecordingStream(APPLICATION, recording_id=target.stem)
-    try:
-        if not target.parent.is_dir():
-            raise WorkError(f"{target}: cannot be written: no such folder")
-        recording.save(target, _blueprint(tabs, rig, exaggeration))
-        recording.send_recording_name(target.stem)
-        for number, (run, sources) in enumerate(tabs, start=1):
-            _log_run(recording, f"run_{number}", run, sources, rig, exaggeration, status_names)
-        recording.flush()
-    except (OSError, RuntimeError, ValueError) as error:
-        raise WorkError(f"{target}: cannot be written: {error}") from None
-    finally:
-        recording.disconnect()
+    with new_file(target, overwrite=True) as part:
+        try:
+            recording.save(part, _blueprint(tabs, rig, exaggeration))
+            recording.send_recording_name(target.stem)
+            for number, (run, sources) in enumerate(tabs, start=1):
+                _log_run(recording, f"run_{number}", run, sources, rig, exaggeration, status_names)
+            recording.flush()
+        except (OSError, RuntimeError, ValueError) as error:
+            raise WorkError(f"{target}: cannot be written: {error}") from None
+        finally:
+            recording.disconnect()
 
 
-def _sources(entry: Entry, rig: Rig) -> tuple[Run, list[_Source]]:
+def _sources(entry: Entry, rig: Rig, extended: Rig | None) -> tuple[Run, list[_Source]]:
     simulated: dict[str, Simulation]
     if isinstance(entry, Run):
+        if abs(entry.sample_rate / rig.sample_rate - 1.0) > RATES:
+            raise WorkError(f"{entry.name}: sampled at {entry.sample_rate:.6g} Hz, rig {rig.name} at "
+                            f"{rig.sample_rate:.6g} Hz; name the run's own rig")
         rest = 0.0 if entry.accel is None else arm.resting(entry.accel, entry.sample_rate)
-        run, simulated = entry, {"nominal": simulate(rig, entry, accel_offset=rest, states=True)}
+        rigs = {"nominal": rig} | ({} if extended is None else {"extended": extended})
+        run = entry.filled()
+        simulated = {name: simulate(each, run, accel_offset=rest, states=True) for name, each in rigs.items()}
     else:
         run, simulated = entry.run, {"nominal": entry.before}
         simulated |= {"extended": entry.after} if entry.after is not None else {"re-fitted": entry.refit}
-    return run, [_Source("measured", run.encoder, run.accel),
-                 *(_Source(name, s.encoder, s.accel, s.shape) for name, s in simulated.items())]
+    return run, [_Source("measured", run.encoder, run.accel, command=run.command),
+                 *(_Source(name, s.encoder, s.accel, s.shape, s.command) for name, s in simulated.items())]
 
 
 def _log_run(recording: rr.RecordingStream, root: str, run: Run, sources: Sequence[_Source], rig: Rig,
@@ -120,9 +137,22 @@ def _log_run(recording: rr.RecordingStream, root: str, run: Run, sources: Sequen
             curve(f"residual/acceleration/{source.name}", source.name, measured.accel - source.accel)
     for source in sources:
         _log_arm(recording, f"{root}/arm/{source.name}", source, seconds, rig, run.sample_rate, exaggeration)
+    picture = _bode(run, sources)
+    if picture is not None:
+        recording.log(f"{root}/{BODE}", rr.EncodedImage(contents=picture, media_type="image/png"), static=True)
     for event in find_events(run, rig.amplifier.limit, status_names):
         recording.set_time(TIMELINE, duration=float(seconds[event.row]))
         recording.log(f"{root}/events", rr.TextLog(event.text, level=event.level))
+
+
+def _bode(run: Run, sources: Sequence[_Source]) -> bytes | None:
+    """The picture of the frequency responses; None for a run that shows none."""
+    accounts = {source.name: replace(run, command=source.command, encoder=source.encoder, accel=source.accel)
+                for source in sources}
+    try:
+        return same_test_picture(accounts, {name: f"#{COLOURS[name] >> 8:06x}" for name in accounts})
+    except WorkError:
+        return None
 
 
 def _log_arm(recording: rr.RecordingStream, path: str, source: _Source, seconds: np.ndarray, rig: Rig, rate: float,
@@ -159,7 +189,8 @@ def _blueprint(tabs: Sequence[tuple[Run, list[_Source]]], rig: Rig, exaggeration
     views = [_tab(f"run_{number}", run, sources, rig, exaggeration) for number, (run, sources) in enumerate(tabs, 1)]
     layout = views[0] if len(views) == 1 else rrb.Tabs(*views, active_tab=0)
     return rrb.Blueprint(layout, rrb.BlueprintPanel(state="collapsed"), rrb.SelectionPanel(state="collapsed"),
-                         rrb.TimePanel(state="collapsed", timeline=TIMELINE), auto_views=False)
+                         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", loop_mode="all"),
+                         auto_views=False)
 
 
 def _tab(root: str, run: Run, sources: Sequence[_Source], rig: Rig, exaggeration: float) -> rrb.Horizontal:
@@ -177,7 +208,7 @@ def _tab(root: str, run: Run, sources: Sequence[_Source], rig: Rig, exaggeration
     def plot(name: str, *paths: str) -> rrb.TimeSeriesView:
         return rrb.TimeSeriesView(origin=root, contents=[f"$origin/{path}/**" for path in paths], name=name,
                                   axis_x=rrb.TimeAxis(link="LinkToGlobal"),
-                                  plot_legend=rrb.PlotLegend("RightTop"))
+                                  plot_legend=rrb.PlotLegend("LeftTop"))
 
     plots = [plot("Angle (encoder counts)", "angle"),
              plot("Angle: measured − simulated (counts)", "residual/angle")]
@@ -185,4 +216,7 @@ def _tab(root: str, run: Run, sources: Sequence[_Source], rig: Rig, exaggeration
         plots += [plot("Acceleration (counts)", "acceleration"),
                   plot("Acceleration: measured − simulated (counts)", "residual/acceleration")]
     plots.append(plot("Command (counts)", "command"))
-    return rrb.Horizontal(left, rrb.Vertical(*plots), column_shares=[2, 3], name=run.name)
+    over_time = rrb.Vertical(*plots, name="Over time")
+    right = rrb.Tabs(over_time, rrb.Spatial2DView(origin=f"{root}/{BODE}", name="Frequency responses (Bode)"),
+                     active_tab=0)
+    return rrb.Horizontal(left, right, column_shares=[2, 3], name=run.name)

@@ -52,4 +52,4 @@ def _here(problem: str | None, path: Path) -> str | None:
 
 def _picture(run: Run) -> str:
     lines = {"encoder": run.encoder} if run.open_loop else {"reference": run.reference, "encoder": run.encoder}
-    return markup.plot(run.t, lines, f"{run.name}, counts", *THUMBNAIL)
+    return markup.plot(run.t, lines, f"{run.name}, counts", *THUMBNAIL, ranges=False)

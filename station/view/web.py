@@ -2,11 +2,13 @@
 
 Rerun's own page asks hosts outside (fonts, its examples, its latest release, usage statistics) even with statistics
 switched off.  Here each of its files passes through with a Content-Security-Policy, by which the browser refuses
-those requests before they leave.
+those requests before they leave.  Links to hosts outside are taken out of the page besides: a policy need not hold for
+a ``preconnect``, by which a browser looks up a host ahead of time.
 """
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 import urllib.error
@@ -21,6 +23,7 @@ from station.errors import WorkError
 LOOPBACK = "127.0.0.1"
 STARTS_WITHIN = 20.0
 """Seconds that Rerun's server may take to answer first."""
+_OUTSIDE = re.compile(rb"<link\b[^>]*\bhref\s*=\s*[\"']?\s*(?:https?:)?//[^>]*>", re.IGNORECASE)
 
 
 def policy(data_port: int) -> str:
@@ -28,6 +31,11 @@ def policy(data_port: int) -> str:
     return ("default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval'; "
             "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; worker-src 'self' blob:; "
             f"connect-src 'self' http://{LOOPBACK}:{data_port}; base-uri 'none'; form-action 'none'")
+
+
+def without_links_outside(page: bytes) -> bytes:
+    """The page without its ``<link>`` elements that name a host: fonts, and hosts to connect to ahead of time."""
+    return _OUTSIDE.sub(b"", page)
 
 
 @contextmanager
@@ -46,6 +54,8 @@ def serve_page(page_port: int, data_port: int) -> Iterator[str]:
             except urllib.error.URLError:
                 self.send_error(404)
                 return
+            if kind.startswith("text/html") and not encoding:
+                body = without_links_outside(body)
             self.send_response(200)
             self.send_header("Content-Type", kind)
             if encoding:
@@ -53,6 +63,7 @@ def serve_page(page_port: int, data_port: int) -> Iterator[str]:
             self.send_header("Content-Length", str(len(body)))
             self.send_header("Content-Security-Policy", policy(data_port))
             self.send_header("Referrer-Policy", "no-referrer")
+            self.send_header("X-DNS-Prefetch-Control", "off")
             self.end_headers()
             self.wfile.write(body)
 

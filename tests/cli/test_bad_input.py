@@ -129,6 +129,51 @@ def test_a_truncated_log_is_read_to_its_last_record_or_refused(station, tmp_path
         assert "cut.mcap" in ended.one_line()
 
 
+VIEWS = {"view": ["--save", "out.rrd"], "replay": ["--model", "sflr", "--save", "out.rrd"],
+         "diagnose": ["--rig", "sflr", "--report", "out.html"], "bode": ["--rig", "sflr", "--out", "out.svg"],
+         "compare": ["--rig", "sflr", "--json", "out.json"]}
+
+
+@pytest.mark.parametrize("content", [
+    None, b"", b"\x89PNG\r\n\x1a\n" + bytes(200), b"<html></html>", b"RRF2" + bytes(64)],
+    ids=["missing", "empty", "a picture", "a page", "a recording"])
+@pytest.mark.parametrize("view", VIEWS)
+def test_a_view_of_no_run_is_one_line_and_leaves_nothing(station, tmp_path, monkeypatch, view, content):
+    monkeypatch.chdir(tmp_path)
+    log = tmp_path / "log.mcap"
+    if content is not None:
+        log.write_bytes(content)
+    ended = station(view, *(["--run"] if view == "bode" else []), log, *VIEWS[view])
+    assert ended.status == 1 and "log.mcap" in ended.one_line()
+    assert [path.name for path in tmp_path.iterdir() if path != log] == []
+
+
+@pytest.mark.parametrize(("option", "status"), [("--rig", 2), ("--extended", 2)])
+@pytest.mark.parametrize("text", [None, "", "colour = 3"], ids=["missing", "empty", "foreign"])
+def test_a_view_with_no_rig_is_one_line_and_leaves_nothing(station, step, tmp_path, option, status, text):
+    rig = tmp_path / "other.toml"
+    if text is not None:
+        rig.write_text(text, encoding="utf-8")
+    ended = station("view", step, option, rig, "--save", tmp_path / "out.rrd")
+    assert ended.status == status and "other.toml" in ended.one_line()
+    assert not (tmp_path / "out.rrd").exists()
+
+
+def test_a_view_of_a_run_of_another_rate_is_one_line(station, step, tmp_path):
+    rig = tmp_path / "fast.toml"
+    rig.write_text(SFLR.replace("sample_rate = 500.0", "sample_rate = 1000.0"), encoding="utf-8")
+    ended = station("view", step, "--rig", rig, "--save", tmp_path / "out.rrd")
+    assert ended.status == 1 and "step: sampled at 500 Hz, rig sflr at 1000 Hz" in ended.one_line()
+    assert not (tmp_path / "out.rrd").exists()
+
+
+def test_the_page_of_a_folder_that_is_none_is_one_line(station, tmp_path):
+    for folder, words in ((tmp_path / "nowhere", "nowhere"), (tmp_path / "file", "file")):
+        (tmp_path / "file").write_text("x", encoding="utf-8")
+        ended = station("runs", folder, "--html")
+        assert ended.status in (1, 2) and words in ended.one_line()
+
+
 def test_two_runs_of_one_name(station, step, tmp_path):
     (tmp_path / "other").mkdir()
     same = tmp_path / "other" / "step.csv"

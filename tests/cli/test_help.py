@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 import typer
+from typer.testing import CliRunner
 
 from station.cli import THREADS
 from station.cli.app import build
@@ -46,6 +48,32 @@ def test_help_says_what_it_does_and_shows_an_example(station, name):
 def test_every_option_is_explained(name):
     for parameter in COMMANDS[name].params:
         assert getattr(parameter, "help", None), f"{name}: {parameter.name}"
+
+
+@pytest.mark.parametrize(("typed", "offered"), [
+    ("station vi", {"view"}), ("station run s", {"step", "sweep"}),
+    ("station view --", {"--rig", "--extended", "--save", "--web", "--overwrite", "--help"}),
+    ("station diagnose --effort ", {"quick", "full"})])
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_a_shell_is_offered_commands_options_and_choices(monkeypatch, shell, typed, offered):
+    words = typed.split(" ")
+    monkeypatch.setenv("_TYPER_COMPLETE_TESTING", "1")          # else Typer asks which shell runs it
+    ended = CliRunner().invoke(build(), [], prog_name="station", env={
+        "_STATION_COMPLETE": f"complete_{shell}", "COMP_WORDS": typed, "COMP_CWORD": str(len(words) - 1),
+        "_TYPER_COMPLETE_ARGS": typed, "_TYPER_COMPLETE_FISH_ACTION": "get-args"})
+    assert ended.exit_code == 0
+    found = set(re.findall(r"^\"?([\w-]+)" if shell != "zsh" else r'"([\w-]+)"', ended.stdout, flags=re.MULTILINE))
+    assert offered <= found
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_completes_its_options(monkeypatch, name):
+    typed = f"station {name} --"
+    ended = CliRunner().invoke(build(), [], prog_name="station", env={
+        "_STATION_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": str(len(typed.split(" ")) - 1)})
+    offered = set(ended.stdout.split())
+    wanted = {option for parameter in COMMANDS[name].params for option in parameter.opts if option.startswith("--")}
+    assert wanted and wanted <= offered
 
 
 def test_without_a_command_the_help_is_shown(station):

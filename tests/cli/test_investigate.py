@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from pathlib import Path
 
 import pytest
 
@@ -56,6 +57,16 @@ def test_it_tests_and_diagnoses_until_decided(station, tmp_path, diagnosed):
     rows = [line for line in ended.out.splitlines() if line.startswith(("01-", "02-", "03-"))]
     assert len(rows) == 3 and all("Coulomb friction at the motor 99 %" in row for row in rows)
     assert ended.out.count("next: pulse 60 (open): the rivals differ here") == 2 and "\nDecided: " in ended.out
+
+
+def test_programs_are_told_the_runs_and_the_diagnosis_alone(station, tmp_path, diagnosed):
+    ended = station("investigate", "--port", "sim://sflr", "--rig", "sflr", "--out", tmp_path / "found",
+                    "--first", FIRST, "--effort", "quick", "--json", "-")
+    assert ended.status == 0, ended.err
+    found = json.loads(ended.out)
+    assert found["outcome"] == "decided" and found["diagnosis"]["verdict"] == "explained"
+    assert [Path(run["file"]).stem for run in found["runs"]] == diagnosed[-1]
+    assert "next: pulse 60 (open)" in ended.err
 
 
 def test_it_chooses_the_first_test_and_diagnoses_in_earnest(station, tmp_path):

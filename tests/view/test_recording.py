@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 
 from station.errors import WorkError
+from station.model.effects import effect_class
 from station.model.simulate import simulate
 from station.rig import Rig, load_rig
 from station.runs.run import Run, RunMetadata
 from station.view import arm, viewer
+from station.view.bode import same_test_picture
 from station.view.events import find_events
 from station.view.recording import TIMELINE, write_recording
 from tests.view import made
@@ -79,7 +81,8 @@ def test_it_brings_a_blueprint_with_one_tab_for_each_run(tmp_path: Path) -> None
     text = subprocess.run([viewer._program(), "rrd", "print", "-vvv", str(path)], capture_output=True, text=True,
                           timeout=60, env=viewer.private_environment(), check=True).stdout
     for words in ("[step-kp2]", "[step-kp1-large]", "[run_1]", "[run_2]", "[TimeSeries]", "[3D]", "[TextLog]",
-                  "[Arm from above, deflection × 4]", "[Angle: measured − simulated (counts)]"):
+                  "[Arm from above, deflection × 4]", "[Angle: measured − simulated (counts)]",
+                  "[Frequency responses (Bode)]"):
         assert words in text, words
 
 
@@ -88,6 +91,65 @@ def test_a_bare_run_stands_beside_the_nominal_simulation(tmp_path: Path) -> None
     write_recording(path, [made.comparisons()[0].run], RIG)
     found = chunks(path)
     assert "/run_1/angle/nominal" in found and "/run_1/angle/extended" not in found
+
+
+def test_a_second_rig_stands_beside_it_as_the_extended_one(tmp_path: Path) -> None:
+    path, run = tmp_path / "two.rrd", made.comparisons()[0].run
+    friction = RIG.with_effects([effect_class("coulomb_friction")(at="motor", torque=0.02)])
+    write_recording(path, [run], RIG, extended=friction)
+    found = chunks(path)
+    batch, = found["/run_1/angle/extended"]
+    expected = simulate(friction, run, accel_offset=arm.resting(run.accel, run.sample_rate)).encoder
+    assert [value for value, in batch["Scalars:scalars"].to_pylist()] == expected.tolist()
+    assert {"/run_1/residual/angle/extended", "/run_1/arm/extended/beam"} <= set(found)
+
+
+def test_the_rows_of_a_run_with_gaps_stay_on_their_ticks(tmp_path: Path) -> None:
+    run = made.comparisons()[0].run
+    kept = np.delete(np.arange(len(run)), [100, 101])
+    gappy = Run("gappy", n=kept, metadata=run.metadata, **{k: v[kept] for k, v in run.columns().items() if k != "n"})
+    path = tmp_path / "gappy.rrd"
+    write_recording(path, [gappy], RIG)
+    found = chunks(path)
+    simulated, = found["/run_1/angle/nominal"]
+    whole = simulate(RIG, gappy.filled(), accel_offset=arm.resting(run.accel, run.sample_rate)).encoder
+    assert [value for value, in simulated["Scalars:scalars"].to_pylist()] == whole.tolist()
+    texts = [text for batch in found["/run_1/events"] for text, in batch["TextLog:text"].to_pylist()]
+    assert "2 samples lost" in texts
+
+
+def test_a_run_of_another_rate_is_refused_and_leaves_no_file(tmp_path: Path) -> None:
+    run = made.comparisons()[0].run
+    with pytest.raises(WorkError, match=r"step-kp2: sampled at 250 Hz, rig sflr at 500 Hz"):
+        write_recording(tmp_path / "x.rrd", [replace(run, t=2.0 * run.t)], RIG)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_each_run_that_has_them_brings_its_frequency_responses(tmp_path: Path) -> None:
+    import rerun.chunk
+
+    moved = made.comparisons()[0].run
+    still = replace(moved, name="still", command=0.0 * moved.command, reference=0.0 * moved.reference)
+    path = tmp_path / "bode.rrd"
+    write_recording(path, [moved, still], RIG)
+    pictures = {str(chunk.entity_path): chunk.to_record_batch()["EncodedImage:blob"].to_pylist()
+                for chunk in rerun.chunk.RrdReader(path).stream()
+                if chunk.is_static and str(chunk.entity_path).endswith("/bode")}
+    assert set(pictures) == {"/run_1/bode"}
+    assert bytes(pictures["/run_1/bode"][0][0]).startswith(b"\x89PNG")
+
+
+def test_a_response_is_drawn_in_the_colours_of_its_account() -> None:
+    import io
+
+    from matplotlib.image import imread
+
+    compared = made.comparisons()[0]
+    other = replace(compared.run, encoder=compared.before.encoder, command=compared.before.command)
+    pixels = imread(io.BytesIO(same_test_picture({"measured": compared.run, "nominal": other},
+                                                 {"measured": "#ff0000", "nominal": "#0000ff"})), format="png")
+    for colour in ([1, 0, 0], [0, 0, 1]):
+        assert np.all(np.abs(pixels[..., :3] - colour) < 0.01, axis=-1).sum() > 500
 
 
 def test_a_rigid_axis_without_accelerometer_is_drawn_straight(tmp_path: Path) -> None:
@@ -119,6 +181,15 @@ def test_the_arm_estimated_from_its_sensors_bends_as_the_simulated_one() -> None
     guess = arm.estimated_shape(RIG, angle, made_up.accel, 500.0)[:, -1]
     assert np.abs(true).max() > 0.02
     assert np.linalg.norm(guess - true) < 0.2 * np.linalg.norm(true)
+
+
+def test_a_device_in_virtual_time_waits_and_is_never_answered_late() -> None:
+    t, still = np.arange(50) / 500.0, np.zeros(50)
+    slack = np.where(t == t[9], -0.002, 0.001)
+    for virtual, late in ((True, 0), (False, 1)):
+        run = Run("r", t, still, still, still, slack=slack,
+                  metadata=RunMetadata(firmware={"virtual_time": virtual}))
+        assert len(find_events(run, 200.0)) == late
 
 
 def test_drawn_points_turn_with_the_base_and_exaggerate_the_bend_alone() -> None:

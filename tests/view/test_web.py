@@ -11,7 +11,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 
-from station.view.web import LOOPBACK, policy, serve_page
+from station.view.web import LOOPBACK, policy, serve_page, without_links_outside
 
 
 class Origin(BaseHTTPRequestHandler):
@@ -62,3 +62,10 @@ def test_no_other_address_of_this_machine_answers(origin: int) -> None:
         port = int(address.split(":")[2].split("/")[0])
         other.settimeout(2.0)
         assert other.connect_ex(("127.0.0.2", port)) != 0
+
+
+def test_links_to_hosts_outside_are_taken_out_of_the_page() -> None:
+    page = (b'<link rel="icon" href="favicon.ico" /><link rel="preconnect" href="https://fonts.gstatic.com"/>'
+            b'<link\n  href="//fonts.googleapis.com/css2"\n rel="stylesheet"\n/><a href="https://rerun.io">more</a>')
+    assert without_links_outside(page) == (b'<link rel="icon" href="favicon.ico" />'
+                                           b'<a href="https://rerun.io">more</a>')
