@@ -1,6 +1,6 @@
 """Lay the documentation out and build it: ``scripts/docs`` runs this in .venv.
 
-    python -m scripts.site [--out FOLDER]
+    python -m scripts.build_site [--out FOLDER]
 
 The pages are those of the repository, at the same places, so that a link that holds in one holds in the other.  Four
 are made here from the code: the public names, the commands, the keys of a rig file and the catalogue of effects.
@@ -47,7 +47,7 @@ def sources() -> list[Path]:
 def lay_out(folder: Path) -> None:
     """Copy the pages, and every file of the project that one of them links to; write the pages made from code."""
     shutil.rmtree(folder, ignore_errors=True)
-    wanted = {ROOT / "docs" / "site.css"}
+    wanted = set((ROOT / "docs" / "theme").iterdir())
     for page in sources():
         wanted.add(page)
         for target in LINK.findall(page.read_text(encoding="utf-8")):
