@@ -130,7 +130,7 @@ def rig_file() -> str:
                 "left out" if field.default is None else f"`{field.default}`")
             text += f"| `{key}` | {least.replace('<', '&lt;')} | {default} |\n"
         text += "\n"
-    text += ("## [uncertainty]\n\nOne sigma, relative (Gaussian in the natural logarithm): `default` for all constants, "
+    text += ("## [uncertainty]\n\nOne sigma, relative (Gaussian in the natural logarithm): `default` for all, "
              "`\"table.key\"` for one, `table` for a common factor on a table. Exact are "
              f"{', '.join(f'`{key}`' for key in sorted(rig.EXACT))} and `sample_rate`.\n\n"
              "## [[effects]]\n\n`effect`, `at` where it may stand at more than one place, and its parameters "
@@ -146,8 +146,8 @@ def _number(value: float) -> str:
 
 def effects() -> str:
     """The catalogue: each effect with its law, places and parameters."""
-    text = ("# Effects\n\nWhat a rig file may hold and a diagnosis may name. [Add an effect](../own_effect.md) says what "
-            "x, v, w, p, s and h are.\n\n")
+    text = ("# Effects\n\nWhat a rig file may hold and a diagnosis may name. [Add an effect](../own_effect.md) says "
+            "what x, v, w, p, s and h are.\n\n")
     for name, effect in catalogue().items():
         law = inspect.getdoc(effect.law) if effect.law is not None else ""
         text += f"## {name}\n\n{inspect.getdoc(effect)}\n\n"
