@@ -89,7 +89,8 @@ MAKERS = {
     "physics.lumped": Maker(plant_figures.lumped_numbers),
     "physics.zeros": Maker(plant_figures.zero_and_mode_numbers),
     "physics.phase": Maker(thesis.phase_bands, logs=True),
-    **{name: Maker(make, logs=name in NEED_LOGS, long=name == "thesis.extended") for name, make in thesis.MAKERS.items()},
+    **{name: Maker(make, logs=name in NEED_LOGS, long=name == "thesis.extended")
+       for name, make in thesis.MAKERS.items()},
     "thesis_model.program": Maker(thesis_model.program_table),
     "thesis_model.elements": Maker(thesis_model.elements_table),
     "thesis_model.ends": Maker(thesis_model.feedback_ends),

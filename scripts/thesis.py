@@ -427,16 +427,18 @@ def loops_figure(path: Path) -> None:
         for x, text in boxes:
             axis.add_patch(FancyBboxPatch((x, 1.15), 1.2, 0.6, boxstyle="round,pad=0.02", fill=False))
             axis.text(x + 0.6, 1.45, text, ha="center", va="center")
-        arrows = [((0.4, 1.45), (2.75, 1.45), "reference"), ((3.1, 1.45), (4.0, 1.45), ""),
+        begin = 1.7 if accelerometer else 2.75
+        arrows = [((0.4, 1.45), (begin, 1.45), "reference"), ((3.1, 1.45), (4.0, 1.45), ""),
                   ((5.2, 1.45), (6.6, 1.45), "command"), ((7.8, 1.6), (9.7, 1.6), "encoder"),
                   ((9.2, 1.6), (9.2, 0.25), ""), ((9.2, 0.25), (2.9, 0.25), ""), ((2.9, 0.25), (2.9, 1.25), "−")]
         axis.text(2.9, 1.45, "Σ", ha="center", va="center", fontsize=13)
         if accelerometer:
-            axis.text(1.9, 1.45, "Σ", ha="center", va="center", fontsize=13, backgroundcolor="white")
+            axis.text(1.9, 1.45, "Σ", ha="center", va="center", fontsize=13)
             axis.add_patch(FancyBboxPatch((4.0, 0.5), 1.2, 0.45, boxstyle="round,pad=0.02", fill=False))
             axis.text(4.6, 0.72, "Ga(z)", ha="center", va="center")
-            arrows += [((7.8, 1.3), (8.6, 1.3), ""), ((8.6, 1.3), (8.6, 0.72), "accelerometer"),
-                       ((8.6, 0.72), (5.2, 0.72), ""), ((4.0, 0.72), (1.9, 0.72), ""), ((1.9, 0.72), (1.9, 1.25), "−")]
+            arrows += [((2.1, 1.45), (2.75, 1.45), ""), ((7.8, 1.3), (8.6, 1.3), ""), ((8.6, 1.3), (8.6, 0.72), ""),
+                       ((8.6, 0.72), (5.2, 0.72), "accelerometer"), ((4.0, 0.72), (1.9, 0.72), ""),
+                       ((1.9, 0.72), (1.9, 1.25), "−")]
         for start, end, text in arrows:
             axis.add_patch(FancyArrowPatch(start, end, arrowstyle="-|>", mutation_scale=9, shrinkA=0, shrinkB=0))
             axis.text((start[0] + end[0]) / 2 + (0.15 if start[0] == end[0] else 0.0),
