@@ -23,7 +23,6 @@ import pytest
 import typer
 
 from station.campaign.plan import load_tasks
-from station.loop.plan import load_plan
 from station.rig import Rig, builtin_rigs
 from station.runs import export_run
 from tests.cli.conftest import step_run
@@ -45,7 +44,8 @@ UNTIL_CTRL_C = {"device"}
 EVERY = sorted({(line, page.name) for page in PAGES if page != TUTORIAL for line in lines(page)})
 STATION = sorted({line.replace("/dev/ttyUSB0", "sim://sflr") for line, _ in EVERY if line.startswith("station ")}
                  | {EXAMPLES[name] for name in SLOW - {"demo"}})
-RUN = [line for line in STATION if line not in ELSEWHERE and line.split()[1] not in UNTIL_CTRL_C]
+RUN = [line for line in STATION if line not in ELSEWHERE and line.split()[1] not in UNTIL_CTRL_C
+       and (line.split()[1] != "investigate" or "my_rig" in line)]      # a minute each; they differ in the rig's name
 needs_qemu = pytest.mark.skipif(shutil.which("qemu-system-arm") is None or shutil.which("arm-none-eabi-gcc") is None,
                                 reason="no qemu-system-arm or no arm-none-eabi-gcc here")
 
@@ -63,8 +63,8 @@ def bench(tmp_path_factory) -> Path:
     for name in ("my_rig.toml", "fitted.toml"):
         (folder / name).write_text(builtin_rigs()["sflr"], encoding="utf-8")
     (folder / "servo.toml").write_text(blocks(ROOT / "docs" / "other_rig.md", "toml")[0], encoding="utf-8")
-    short = '\n[[test]]\nkind = "step"\namplitude = 40\nduration = 0.8\n'
-    (folder / "day.toml").write_text(f'name = "day"\ncontroller = "p"\n{short}{short}', encoding="utf-8")
+    export_run(step_run(str(folder / "servo.toml"), amplitude=100.0), folder / "servo.mcap")
+    (folder / "day.toml").write_text(blocks(ROOT / "docs" / "plans.md", "toml")[0], encoding="utf-8")
     (folder / "plan.toml").write_text('effort = "quick"\n[[logs]]\nname = "bench"\nrig = "my_rig.toml"\n'
                                       'runs = ["step.mcap", "pulse.mcap"]\n', encoding="utf-8")
     return folder
@@ -154,19 +154,12 @@ def test_the_limits_of_the_page_on_a_day_of_tests_belong_into_a_rig_file():
     assert (rig.limits.travel, rig.limits.speed, rig.command_limit) == (3.0, 40.0, 120.0)
 
 
-def test_the_plan_of_the_page_on_plans_is_one(there):
-    (text,) = blocks(ROOT / "docs" / "plans.md", "toml")
-    (there / "day.toml").write_text(text, encoding="utf-8")
-    plan = load_plan(there / "day.toml", Rig.from_toml(builtin_rigs()["sflr"]))
-    assert plan.name == "friction day" and len(plan.tests) == 3
-
-
 def test_the_plan_of_the_example_is_one(there):
     assert [task.group for task in load_tasks(there / "plan.toml")] == ["logs"]
 
 
 def test_every_toml_block_is_read_by_a_test():
-    """The four above, docs/campaign.md (tests/campaign/test_plan.py) and the entry points of docs/own_effect.md."""
+    """Rigs and limits above, docs/plans.md by its command, docs/campaign.md by tests/campaign/test_plan.py."""
     found = {page.name: len(blocks(page, "toml")) for page in PAGES if blocks(page, "toml")}
     assert found == {"calibrate.md": 1, "campaign.md": 1, "lab.md": 1, "other_rig.md": 2, "own_effect.md": 1,
                      "plans.md": 1}
