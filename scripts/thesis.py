@@ -481,8 +481,8 @@ def main() -> int:
     options = parser.parse_args()
     if options.data is not None:
         os.environ["STATION_MEASURED"] = str(options.data.resolve())
-    status = kept_numbers.run([f"{name}" for name in kept_numbers.known() if name.startswith("thesis")],
-                              check=options.check)
+    names = [name for name in kept_numbers.known() if name.startswith("thesis")]
+    status = kept_numbers.run(names, check=options.check)
     if not options.check:
         for line in draw(options.figures):
             print(line)
@@ -490,4 +490,6 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    from scripts import thesis  # the same module as scripts/kept_numbers.py uses, so that nothing is done twice
+
+    sys.exit(thesis.main())
