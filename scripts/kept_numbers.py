@@ -19,14 +19,16 @@ import argparse
 import contextlib
 import io
 import re
+import subprocess
 import sys
 import tempfile
+import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from scripts import measured_rig, plant_figures, thesis, thesis_model
+from scripts import line_rates, measured_rig, plant_figures, thesis, thesis_model
 
 ROOT = Path(__file__).resolve().parents[1]
 BLOCK = re.compile(r"^<!-- numbers: (?P<name>[\w.-]+)(?:; (?P<how>[^\n]+?))? -->\n(?P<text>.*?)^<!-- /numbers -->$",
@@ -78,6 +80,14 @@ def _feedback_after() -> list[float]:
     return thesis_model.feedback_after(run.command, run.encoder)
 
 
+def _own_effect() -> str:
+    """What scripts/own_effect.py prints."""
+    done = subprocess.run([sys.executable, str(ROOT / "scripts" / "own_effect.py")], capture_output=True, text=True,
+                          check=True, cwd=ROOT)
+    said = "\n".join(textwrap.fill(line, 119) for line in done.stdout.splitlines())
+    return f"```\npython scripts/own_effect.py\n{said}\n```"
+
+
 NEED_LOGS = {"thesis.bode", "thesis.pulse", "thesis.p", "thesis.lead", "thesis.lead_accel", "thesis.settling",
              "thesis.times", "thesis.extended"}
 MAKERS = {
@@ -96,6 +106,8 @@ MAKERS = {
     "thesis_model.ends": Maker(thesis_model.feedback_ends),
     "thesis_model.after": Maker(_feedback_after, logs=True),
     "thesis_model.modes": Maker(thesis_model.feedback_modes),
+    "firmware.rates": Maker(line_rates.table),
+    "own_effect.said": Maker(_own_effect),
     "results.sflr": Maker(lambda: _results("sflr"), logs=True, long=True),
     "results.xl330": Maker(lambda: _results("xl330"), logs=True, long=True),
     "results.xl330-no-controller": Maker(lambda: _results("xl330-no-controller"), logs=True, long=True),
