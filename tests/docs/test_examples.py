@@ -30,8 +30,6 @@ from tests.cli.test_examples import EXAMPLES, SLOW
 from tests.cli.test_help import COMMANDS
 from tests.docs.pages import PAGES, ROOT, TUTORIAL, blocks, inline, lines
 
-pytest_plugins = ["tests.cli.conftest"]
-
 ELSEWHERE = {"python scripts/demo": "tests/cli/test_diagnosis.py runs the demo by the quick effort",
              "python scripts/test": "runs these tests",
              "python scripts/own_effect.py": "tests/model/test_own_effects.py",
@@ -39,7 +37,7 @@ ELSEWHERE = {"python scripts/demo": "tests/cli/test_diagnosis.py runs the demo b
              "station campaign plan.toml --out campaign --scheduler tls://head:8786 --tls-ca ca.pem --tls-cert me.pem "
              "--tls-key me.key": "needs a cluster with certificates; tests/campaign/test_run.py has one of two workers"}
 """Lines that are not run here, and why."""
-QUICK = {"diagnose", "investigate"}
+QUICK = {"diagnose"}
 UNTIL_CTRL_C = {"device"}
 EVERY = sorted({(line, page.name) for page in PAGES if page != TUTORIAL for line in lines(page)})
 STATION = sorted({line.replace("/dev/ttyUSB0", "sim://sflr") for line, _ in EVERY if line.startswith("station ")}

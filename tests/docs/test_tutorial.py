@@ -13,8 +13,6 @@ import pytest
 from station.rig import load_rig
 from tests.docs.pages import ROOT, TUTORIAL
 
-pytest_plugins = ["tests.cli.conftest"]
-
 
 def test_the_tutorial_runs_from_its_first_command_to_its_last(station, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
