@@ -42,7 +42,9 @@ UNTIL_CTRL_C = {"device"}
 EVERY = sorted({(line, page.name) for page in PAGES if page != TUTORIAL for line in lines(page)})
 STATION = sorted({line.replace("/dev/ttyUSB0", "sim://sflr") for line, _ in EVERY if line.startswith("station ")}
                  | {EXAMPLES[name] for name in SLOW - {"demo"}})
-RUN = [line for line in STATION if line not in ELSEWHERE and line.split()[1] not in UNTIL_CTRL_C
+SHOWN = [line for line in STATION if line.split()[1] == "view" and "--save" not in line]
+"""Open a viewer that stays: tests/view has them; here their options are looked at."""
+RUN = [line for line in STATION if line not in ELSEWHERE and line not in SHOWN and line.split()[1] not in UNTIL_CTRL_C
        and (line.split()[1] != "investigate" or "my_rig" in line)]      # a minute each; they differ in the rig's name
 needs_qemu = pytest.mark.skipif(shutil.which("qemu-system-arm") is None or shutil.which("arm-none-eabi-gcc") is None,
                                 reason="no qemu-system-arm or no arm-none-eabi-gcc here")
@@ -58,7 +60,7 @@ def bench(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("bench")
     for name in ("step", "pulse", "sweep", "reference"):
         export_run(step_run(name=name, rows=600), folder / f"{name}.mcap")
-    for name in ("my_rig.toml", "fitted.toml"):
+    for name in ("my_rig.toml", "fitted.toml", "better_rig.toml"):
         (folder / name).write_text(builtin_rigs()["sflr"], encoding="utf-8")
     (folder / "servo.toml").write_text(blocks(ROOT / "docs" / "other_rig.md", "toml")[0], encoding="utf-8")
     export_run(step_run(str(folder / "servo.toml"), amplitude=100.0), folder / "servo.mcap")
@@ -126,7 +128,8 @@ def _options(command: typer.core.TyperCommand) -> set[str]:
     return {option for parameter in command.params for option in parameter.opts} | {"--help"}
 
 
-@pytest.mark.parametrize(("line", "page"), sorted({(line, page.name) for page in PAGES for line in inline(page)}))
+@pytest.mark.parametrize(("line", "page"), sorted({(line, page.name) for page in PAGES for line in inline(page)}
+                                            | {(line, "") for line in SHOWN}))
 def test_a_command_in_a_sentence_exists_with_its_options(line, page):
     words = line.split()[1:]
     if words[0].startswith("--"):       # of station itself
