@@ -25,9 +25,9 @@ def environment_python():
 
 
 def extras():
-    """What to install beyond the dependencies: the tests' tools, and a C compiler where there is none."""
+    """What to install beyond the dependencies: the tests' and the docs' tools, and a C compiler where there is none."""
     found = os.environ.get("CC") or any(shutil.which(name) for name in COMPILERS)
-    return ["test"] if found else ["test", "compiler"]
+    return ["test", "docs"] if found else ["test", "docs", "compiler"]
 
 
 def key():

@@ -1,6 +1,8 @@
-"""The plant's figures for the documentation, and the numbers that stand beside them.
+"""The plant's figures for the documentation, and what makes the numbers that stand beside them.
 
     python scripts/plant_figures.py [--out docs/figures] [--logs FOLDER]
+
+The numbers are written into docs/physics.md by `python scripts/numbers` (scripts/kept_numbers.py).
 """
 
 from __future__ import annotations
@@ -74,10 +76,13 @@ def beam_figure(path: Path) -> None:
     figure.savefig(path)
 
 
-def lumped_figure(path: Path) -> None:
-    """The discrete-time transfer matrix method: error of the step and error of the lumps, apart."""
-    rig, lumps = load_rig("sflr"), 10
-    rows = 300
+LUMPS = (5, 10, 20, 40, 80)
+
+
+def lumped_errors(finest: int = 32, lumps: int = 10) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The discrete-time transfer matrix method: steps a sample, largest encoder error of a lead step (counts) for each,
+    and the first four frequencies' relative errors for each of LUMPS."""
+    rig, rows = load_rig("sflr"), 300
     reference, zero = np.where(np.arange(rows) >= 10, 100.0, 0.0), np.zeros(rows)
     lead = {"kind": "lead", "gain": 20.0, "zero": 31.4159, "pole": 125.6637}
     run = Run("step", np.arange(rows) / 500.0, reference, zero, zero, zero,
@@ -89,26 +94,34 @@ def lumped_figure(path: Path) -> None:
         exact[i] = plant.C[0] @ x
         seen = exact[i - 1] if i else 0.0
         x = plant.A @ x + plant.B[:, 0] * compensator.step(reference[i], seen, 0.0)
-    steps = np.array([1, 2, 4, 8, 16, 32])
-    in_time = [np.abs(run_chain(rig, run, lumps, int(s)).encoder - exact).max() for s in steps]
+    steps = 2 ** np.arange(int(np.log2(finest)) + 1)
+    in_time = np.array([np.abs(run_chain(rig, run, lumps, int(s)).encoder - exact).max() for s in steps])
     wanted = continuous_frequencies(rig, 100.0)
-    counts = np.array([5, 10, 20, 40, 80])
     in_space = []
-    for n in counts:
-        parts = lumped_assembly(rig, int(n))
+    for n in LUMPS:
+        parts = lumped_assembly(rig, n)
         squared = scipy.linalg.eigh(parts.stiffness, parts.mass, eigvals_only=True)
-        in_space.append(np.abs(np.sqrt(squared[1:5]) / (2 * np.pi) / wanted - 1.0))
-    print("discrete-time TMM, largest encoder error of a lead step, counts, by step in ms:",
-          {round(1e3 * rig.period / int(s), 4): float(f"{e:.3g}") for s, e in zip(steps, in_time, strict=True)})
-    print("chain's frequency error by lumps:",
-          {int(n): [float(f"{e:.2g}") for e in row] for n, row in zip(counts, in_space, strict=True)})
+        in_space.append(np.sqrt(squared[1:5]) / (2 * np.pi) / wanted - 1.0)
+    return steps, in_time, np.array(in_space)
+
+
+def lumped_numbers() -> list[float]:
+    """One step a sample (ms), its error (counts) in a step of 100 counts; by ten lumps, fall of the frequencies (%)."""
+    _, in_time, in_space = lumped_errors(finest=1)
+    return [2.0, in_time[0], 100.0, *(-100.0 * in_space[LUMPS.index(10)])]
+
+
+def lumped_figure(path: Path) -> None:
+    """Error of the step and error of the lumps, apart."""
+    steps, in_time, in_space = lumped_errors()
+    counts = np.array(LUMPS)
     figure = Figure(figsize=(9.0, 3.2), layout="constrained")
     left, right = figure.subplots(1, 2)
-    left.loglog(1e3 * rig.period / steps, in_time, "o-", label="lead step, 10 lumps")
-    left.loglog(1e3 * rig.period / steps, in_time[0] / steps**2.0, "k:", label="second power")
+    left.loglog(2.0 / steps, in_time, "o-", label="lead step, 10 lumps")
+    left.loglog(2.0 / steps, in_time[0] / steps**2.0, "k:", label="second power")
     left.set(xlabel="step, ms", ylabel="encoder error, counts")
     for mode in range(4):
-        right.loglog(counts, np.array(in_space)[:, mode], "o-", label=f"mode {mode + 1}")
+        right.loglog(counts, np.abs(in_space[:, mode]), "o-", label=f"mode {mode + 1}")
     right.loglog(counts, 3.0 / counts**2.0, "k:", label="second power")
     right.set(xlabel="lumps", ylabel="relative frequency error")
     right.xaxis.set_minor_formatter(NullFormatter())
@@ -157,53 +170,78 @@ def steps_figure(path: Path) -> None:
     figure.savefig(path)
 
 
-def mesh_errors(rig: Rig) -> None:
+def frequency_table() -> str:
+    """Undamped natural frequencies of sflr by elements, and of the continuous beam."""
+    rig = load_rig("sflr")
+    rows = ["| elements | natural frequencies of `sflr`, Hz, undamped |", "| --- | --- |"]
+    found = {str(n): natural_frequencies(with_elements(rig, n))[1:7] for n in (4, 10, 20, 200)}
+    found["continuous"] = continuous_frequencies(rig, 250.0)[:6]
+    return "\n".join([*rows, *(f"| {n} | {', '.join(f'{f:.4f}' for f in hertz)} |" for n, hertz in found.items())])
+
+
+def meshed_elements() -> list[float]:
+    """The elements that sflr gets."""
+    return [float(load_rig("sflr").meshed().beam.elements)]
+
+
+def mesh_table() -> str:
     """Readings before rounding, against those of a mesh of 64 elements."""
+    rig = load_rig("sflr")
     rows = np.arange(1000)
     t, zero = rows * rig.period, np.zeros(1000)
     p = {"kind": "p", "gain": 2.0}
+    lines = ["| test | 4 elements, encoder / accelerometer | 8 | 16 |", "| --- | --- | --- | --- |"]
     for name, reference, spec in (
-            ("pulse 60", np.where((rows >= 100) & (rows < 150), 60.0, 0.0), {"kind": "open"}),
-            ("P step 50", np.where(rows >= 100, 50.0, 0.0), p),
-            ("P sweep 30", np.where(rows >= 50, 30.0 * np.sin(2.0 * np.pi * 10.0 * t * t), 0.0), p)):
+            ("pulse of 60 counts, open loop", np.where((rows >= 100) & (rows < 150), 60.0, 0.0), {"kind": "open"}),
+            ("step of 50 counts, P", np.where(rows >= 100, 50.0, 0.0), p),
+            ("sweep of 30 counts to 40 Hz, P", np.where(rows >= 50, 30.0 * np.sin(20.0 * np.pi * t * t), 0.0), p)):
         run = Run(name, t, reference, reference, zero, zero, RunMetadata(controller=spec, command_row=-1))
         made = {n: simulate_model(build(with_elements(rig, n)), run, rounding=False) for n in (4, 8, 16, 64)}
-        for n in (4, 8, 16):
-            print(f"  {n} elements, {name}: encoder {np.abs(made[n].encoder - made[64].encoder).max():.4f}, "
-                  f"accelerometer {np.abs(made[n].accel - made[64].accel).max():.4f} counts")
+        cells = [f"{np.abs(made[n].encoder - made[64].encoder).max():.4f} / "
+                 f"{np.abs(made[n].accel - made[64].accel).max():.4f}" for n in (4, 8, 16)]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join(lines)
 
 
-def numbers() -> None:
-    """What the pages state."""
+def transfer_table() -> str:
+    """Largest difference in magnitude from the continuous beam up to 100 Hz, zeros included."""
     rig = load_rig("sflr")
-    print("elements of simulations:", rig.meshed().beam.elements)
-    mesh_errors(rig)
-    print("natural frequencies, Hz, transfer matrices:", continuous_frequencies(rig, 250.0).round(4))
-    for n in (4, 10, 20, 200):
-        print(f"  {n} elements:", natural_frequencies(with_elements(rig, n))[1:7].round(4))
     hertz = np.geomspace(0.1, 100.0, 2000)
     exact = chain_response(rig, 2j * np.pi * hertz)
+    scale = rig.motor.gain * np.array([1.0 / rig.angle_per_count, rig.accelerometer.gain])
+    lines = ["| elements | base, dB | tip, dB |", "| --- | --- | --- |"]
     for n in (4, 10, 20):
         found = state_space(with_elements(rig, n))(2j * np.pi * hertz)[:, 0]
-        scale = rig.motor.gain * np.array([1.0 / rig.angle_per_count, rig.accelerometer.gain])
-        error = np.abs(20 * np.log10(np.abs(found / (scale[:, None] * np.array([exact.base, exact.tip])))))
-        print(f"  {n} elements against transfer matrices up to 100 Hz: {error.max(axis=1).round(4)} dB")
-    beyond = chain_response(rig, 2j * np.pi * hertz, L2)
-    print("with L2, Hz:", continuous_frequencies(rig, 250.0, L2).round(4))
-    for name in ("base", "tip"):
-        change = np.abs(20 * np.log10(np.abs(getattr(beyond, name) / getattr(exact, name))))
-        print(f"  {name}: median change {np.median(change):.3f} dB")
-    plant = state_space(rig)
-    for name in plant.output_labels:
-        factors = transfer_function(plant, name, below=600.0)
-        print(name, "zeros", factors.zeros.round(2), "right half plane", factors.nonminimum_phase.round(2))
-    for mode in modes(plant)[:6]:
-        print(f"  {mode.frequency:8.3f} Hz  damping {mode.damping:.4f}  controllability {mode.controllability:.2e}  "
-              + "  ".join(f"{key} {value:.2e}" for key, value in mode.observability.items()))
+        error = np.abs(20 * np.log10(np.abs(found / (scale[:, None] * np.array([exact.base, exact.tip]))))).max(axis=1)
+        lines.append(f"| {n} | {error[0]:.4f} | {error[1]:.4f} |")
+    return "\n".join(lines)
+
+
+def overhang_numbers() -> list[float]:
+    """What the beam beyond the sensor would change: its length (mm), frequencies (Hz), their fall (%), the range looked
+    at (Hz) and the median change of the magnitudes (dB), base and tip."""
+    rig = load_rig("sflr")
+    with_it, without = continuous_frequencies(rig, 250.0, L2)[:4], continuous_frequencies(rig, 250.0)[:4]
+    hertz = np.geomspace(0.1, 100.0, 2000)
+    exact, beyond = chain_response(rig, 2j * np.pi * hertz), chain_response(rig, 2j * np.pi * hertz, L2)
+    change = [float(np.median(np.abs(20 * np.log10(np.abs(getattr(beyond, name) / getattr(exact, name))))))
+              for name in ("base", "tip")]
+    return [1e3 * L2, *with_it, *(100.0 * (1.0 - with_it / without)), *change, 0.1, 100.0]
+
+
+def zero_and_mode_numbers() -> list[float]:
+    """The tip's real zeros (1/s), the poles of sflr: real ones (Hz), pairs (Hz and damping ratio)."""
+    plant = state_space(load_rig("sflr"))
+    zeros = transfer_function(plant, "accel", below=600.0).zeros
+    real = np.sort(zeros[(np.abs(zeros.imag) < 1e-3 * np.abs(zeros)) & (zeros.real > 1.0)].real)
+    found = [(mode.frequency, mode.damping) for mode in modes(plant) if mode.frequency > 1e-3]
+    alone = [frequency for frequency, damping in found if damping >= 1.0 - 1e-9]
+    pairs = [value for frequency, damping in found if damping < 1.0 - 1e-9 for value in (frequency, damping)]
+    return [*real[:2], *alone[:3], *pairs[:4]]
 
 
 def main() -> None:
-    """Draw the figures and print the numbers."""
+    """Draw the figures."""
     parser = argparse.ArgumentParser(description="The plant's figures for the documentation")
     parser.add_argument("--out", type=Path, default=Path("docs/figures"))
     parser.add_argument("--logs", type=Path, help="folder of the laboratory's logs, for the Bode figure")
@@ -215,7 +253,6 @@ def main() -> None:
     if options.logs:
         log = load_run(next(options.logs.glob("swept_sine*.txt")))
         bode_figure(load_rig("sflr"), log).savefig(options.out / "bode.png", dpi=90)
-    numbers()
 
 
 if __name__ == "__main__":

@@ -189,6 +189,61 @@ def draw(rows: list[dict[str, float]], path: Path) -> None:
     figure.savefig(path)
 
 
+def program_table() -> str:
+    """The thesis's figures, its program's and those of the same rig in radians."""
+    (row,) = table([4])
+    p, lead, peak, mode = ((row[f"thesis {key}"], row[f"rig {key}"]) for key in ("p", "lead", "pulse", "mode"))
+    return "\n".join([
+        "| | thesis | its program, 4 elements | rotations in radians, any elements |", "| --- | --- | --- | --- |",
+        f"| overshoot of the P step, Kp = 2, 50 counts | 38.20 % | {p[0]:.2f} % | {p[1]:.1f} % |",
+        f"| overshoot of the lead step, 100 counts | 18.85 % | {lead[0]:.2f} % | {lead[1]:.1f} % |",
+        f"| peak of the open-loop pulse | | {peak[0]:.1f} counts | {peak[1]:.1f} counts |",
+        f"| first mode (size of the pole) | | {mode[0]:.2f} Hz | {mode[1]:.2f} Hz |"])
+
+
+def elements_table() -> str:
+    """What each element added does to the program; in radians two are enough."""
+    lines = ["| elements | first mode, Hz | P overshoot, % | lead overshoot, % | pulse peak, counts |",
+             "| --- | --- | --- | --- | --- |"]
+    rows = table([1, 2, 4, 6, 10])
+
+    def line(title: object, row: dict[str, float], name: str) -> str:
+        return (f"| {title} | {row[f'{name} mode']:.3f} | {row[f'{name} p']:.1f} | {row[f'{name} lead']:.1f} "
+                f"| {row[f'{name} pulse']:.1f} |")
+
+    lines += [line(row["elements"], row, "thesis") for row in rows]
+    return "\n".join([*lines, line("in radians, 1", rows[0], "rig"), line("in radians, 2 to 10", rows[-1], "rig")])
+
+
+def feedback_ends() -> list[float]:
+    """Where the P loop with B broadcast ends for 50 counts with 1, 4 and 10 elements; where the loop meant ends."""
+    ends = []
+    for n in (1, 4, 10):
+        for closed in (broadcast_feedback(thesis_model(n)), proportional_feedback(thesis_model(n))):
+            ends.append(-float(closed.c @ np.linalg.solve(closed.a, closed.b)) * 50.0)
+    return [50.0, *ends[::2], 1.0, 4.0, 10.0, ends[3]]
+
+
+def feedback_after(command: np.ndarray, encoder: np.ndarray) -> list[float]:
+    """The same fed with the logged command: counts at the log's end, and where the arm stood."""
+    return [*(float(respond(broadcast_feedback(thesis_model(n)), command)[-1]) for n in (1, 4, 10)), 2.0,
+            float(encoder[-1])]
+
+
+def feedback_modes() -> list[float]:
+    """First oscillating pole (Hz) with B broadcast, in open loop and in the loop meant, and the latter's least and
+    largest damping ratio; 1, 4 and 10 elements."""
+    models = [thesis_model(n) for n in (1, 4, 10)]
+    meant = [proportional_feedback(model) for model in models]
+    ratios = []
+    for model in meant:
+        poles = np.linalg.eigvals(model.a)
+        first = min(poles[poles.imag > 1e-6], key=abs)
+        ratios.append(-first.real / abs(first))
+    return [*(broadcast_feedback(model).first_mode() for model in models), *(model.first_mode() for model in models),
+            *(model.first_mode() for model in meant), min(ratios), max(ratios)]
+
+
 def main() -> None:
     """Print the tables; draw the figure where asked."""
     parser = argparse.ArgumentParser(description="The thesis's finite element model as it was run")
@@ -204,18 +259,12 @@ def main() -> None:
             line += "{:10.4f} {:6.2f} {:7.2f} {:6.1f}     ".format(
                 *(row[f"{name} {key}"] for key in ("mode", "p", "lead", "pulse")))
         print(line)
-    print("\nState feedback A - Kp*B, Kp = 2: encoder after 2 s, counts (final value in brackets)")
-    inputs = {"reference 50": np.r_[np.zeros(50), np.full(950, 50.0)]}
+    print("\nState feedback A - Kp*B, Kp = 2, with 1, 4 and 10 elements: final value for 50 counts",
+          [round(end, 1) for end in feedback_ends()[1:4]])
     if options.logs:
-        log = next(options.logs.glob("SFLR_P_control*.txt"))
-        inputs["logged command"] = np.loadtxt(log)[:, 3]
-    for n in (1, 4, 10):
-        for title, close in (("broadcast", broadcast_feedback), ("A - B Kp C", proportional_feedback)):
-            closed = close(thesis_model(n))
-            for name, values in inputs.items():
-                final = -float(closed.c @ np.linalg.solve(closed.a, closed.b)) * values[-1]
-                last = respond(closed, values)[-1]
-                print(f"{n:3d} elements, {title:10s}, input {name:15s} {last:8.1f} ({final:.1f})")
+        columns = np.loadtxt(next(options.logs.glob("SFLR_P_control*.txt")))
+        print("fed with the logged command, counts after 2 s", [round(end, 1) for end in
+                                                                feedback_after(columns[:, 3], columns[:, 4])[:3]])
     if options.figure:
         draw(rows, options.figure)
 

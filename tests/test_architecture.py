@@ -9,9 +9,11 @@ import sys
 import tomllib
 from pathlib import Path
 
+import grimp
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+DOCS = sorted((ROOT / "docs").glob("*.md"))
 
 
 def _run(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -38,10 +40,58 @@ def test_a_contract_breaks_where_an_import_points_the_wrong_way(tmp_path):
     assert "BROKEN" in done.stdout
 
 
-@pytest.mark.parametrize("page", ["ARCHITECTURE.md", "README.md"])
+def _table() -> dict[str, set[str]]:
+    """The right-hand column of ARCHITECTURE.md: what each part of station may import itself, as it is written there."""
+    rows = re.findall(r"^\| `station/(\w+)(?:/|\.py)` \|.*\| ([^|]+) \|$",
+                      (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8"), re.MULTILINE)
+    said = dict(rows)
+    assert len(said) == len(rows) == 12
+    known = {name: set(re.findall(r"[a-z]+", text)) & set(said) for name, text in said.items()}
+    known["view"] |= known["diagnose"]                                      # "and what diagnose may know"
+    known["api"], known["cli"] = set(said) - {"api", "cli"}, set(said)      # "all below", "all"
+    assert said["view"].endswith("and what diagnose may know")
+    assert (said["api"], said["cli"], said["control"]) == ("all below", "all", "nothing")
+    return known
+
+
+def test_every_part_of_the_package_stands_in_the_table():
+    parts = {path.stem for path in (ROOT / "station").iterdir()
+             if path.suffix == ".py" or (path / "__init__.py").is_file()}
+    assert parts - {"__init__", "__main__", "errors", "markup", "rig"} == set(_table())
+
+
+@pytest.mark.parametrize("part", sorted(set(_table()) - {"cli"}))
+def test_a_contract_says_what_the_table_says(part):
+    tools = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]
+    (contract,) = [c for c in tools["importlinter"]["contracts"] if c["name"].startswith(f"{part} may know ")]
+    known = _table()
+    forbidden = set(known) - known[part] - {part} | ({"rig"} if part in ("control", "runs") else set())
+    assert contract["source_modules"] == [f"station.{part}"] and contract["allow_indirect_imports"]
+    assert set(contract["forbidden_modules"]) == {f"station.{name}" for name in forbidden}
+
+
+def test_the_rig_knows_the_effects_classes_alone():
+    """The table's first row: errors and markup know nothing, the rig the effects' classes."""
+    graph = grimp.build_graph("station", exclude_type_checking_imports=True)
+    basic = {"station.errors", "station.markup"}
+    for module in basic:
+        assert graph.find_modules_directly_imported_by(module) <= basic | {"station"}
+    found = graph.find_modules_directly_imported_by("station.rig")
+    assert "station.model.effects" in found and found <= basic | {"station.model.effects", "station"}
+
+
+def test_the_picture_of_the_datas_way_names_files_that_are_there():
+    text = (ROOT / "docs" / "figures" / "way.svg").read_text(encoding="utf-8")
+    named = re.findall(r">((?:station|firmware)/[\w./]+)<", text)
+    assert len(named) >= 10 and [name for name in named if not (ROOT / name).is_file()] == []
+
+
+@pytest.mark.parametrize("page", ["ARCHITECTURE.md", "README.md", *(f"docs/{p.name}" for p in DOCS)])
 def test_files_that_a_page_names_are_there(page):
     text = (ROOT / page).read_text(encoding="utf-8")
     named = set(re.findall(r"`((?:station|firmware|tests|scripts)/[\w./-]*)`", text))
+    if page.startswith("docs/"):
+        named |= {"docs"}
     assert named and [name for name in sorted(named) if not (ROOT / name).exists()] == []
 
 

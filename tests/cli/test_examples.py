@@ -1,8 +1,7 @@
-"""The examples of the help texts and of the README run as they stand."""
+"""The examples of the help texts run as they stand."""
 
 from __future__ import annotations
 
-import re
 import shlex
 import shutil
 from pathlib import Path
@@ -12,10 +11,10 @@ import pytest
 from station.rig import builtin_rigs
 from station.runs import export_run, load_run
 from tests.cli.conftest import step_run
-from tests.cli.test_help import COMMANDS, ROOT
+from tests.cli.test_help import COMMANDS
 
 SLOW = {"campaign", "demo", "device", "diagnose", "fit", "investigate"}
-"""Run in tests of their own, on smaller cases (device: until Ctrl-C)."""
+"""Run beside those of the pages, in tests/docs/test_examples.py; demo in test_diagnosis.py, by the quick effort."""
 EXAMPLES = {name: command.epilog.removeprefix("Example: ") for name, command in COMMANDS.items()}
 
 
@@ -55,28 +54,3 @@ def test_the_example_of(station, there, name):
     _free(arguments)
     ended = station(*arguments)
     assert ended.status == 0, ended.err
-
-
-def _readme() -> list[str]:
-    """The station commands of the README's blocks, one per line."""
-    blocks = re.findall(r"```\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.DOTALL)
-    lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
-    return [" ".join(line.split()) for line in lines if line.strip().startswith("station ")]
-
-
-def test_the_readme_has_commands():
-    assert len(_readme()) >= 7
-
-
-@pytest.mark.parametrize("line", [line for line in _readme() if " diagnose " not in line])
-def test_the_readme_says(station, there, line):
-    arguments = shlex.split(line.replace("/dev/ttyUSB0", "sim://sflr"))[1:]
-    _free(arguments)
-    ended = station(*arguments)
-    assert ended.status == 0, ended.err
-
-
-def test_the_readme_names_options_that_diagnose_has():
-    (line,) = [line for line in _readme() if " diagnose " in line]
-    known = {option for parameter in COMMANDS["diagnose"].params for option in parameter.opts}
-    assert {word for word in shlex.split(line) if word.startswith("--")} <= known

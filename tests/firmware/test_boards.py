@@ -14,7 +14,7 @@ from station.device.firmware import firmware_folder
 from tests.firmware.figures import BOARDS, code_lines, image_sizes, object_sizes
 
 CORE = firmware_folder() / "core"
-DOCS = (firmware_folder().parent / "docs" / "firmware.md").read_text(encoding="utf-8")
+DOCS = (firmware_folder().parent / "docs" / "add_board.md").read_text(encoding="utf-8")
 STUBS = {"psoc5lp": ("tick_isr",), "arduino_due": ("UART_Handler", "TC3_Handler")}
 IMAGE_BYTES, RAM_BYTES, STACK_BYTES = 24 << 10, 4 << 10, 1 << 10
 needs_arm = pytest.mark.skipif(shutil.which(GCC) is None, reason=f"no {GCC} here")
