@@ -78,6 +78,7 @@ def simulate(rig: AnyRig, test: AnyRun | Mapping[str, Any], controller: Controll
     A closed loop runs from the reference with its own compensator on the model's readings; ``controller`` puts another
     in its place.
     """
+    from station.model.simulate import limit_of
     from station.model.simulate import simulate as model
 
     described = load_rig(rig)
@@ -91,7 +92,7 @@ def simulate(rig: AnyRig, test: AnyRun | Mapping[str, Any], controller: Controll
     made = model(described, run, accel_offset=run.metadata.accel_zero)
     metadata = run.metadata.model_copy(update={
         "rig": described.model_dump(exclude_none=True), "firmware": None, "session": None, "zero_id": None,
-        "simulated": True})
+        "command_limit": limit_of(described, run.metadata), "simulated": True})
     return Run(name, run.t, made.reference, made.command, made.encoder, made.accel, metadata)
 
 
@@ -172,6 +173,6 @@ def _planned(rig: Rig, test: dict[str, Any], controller: Controller | None) -> R
     reference = reference_from_test(test, rig.sample_rate)
     spec, still = _controller(controller, test, rig), np.zeros(len(reference))
     metadata = RunMetadata(rig=rig.name, controller=spec, test=test, command_row=-1)
-    command = reference if spec.get("kind") == "open" else still
+    command = np.clip(reference, -rig.command_limit, rig.command_limit) if spec.get("kind") == "open" else still
     return Run("planned", np.arange(len(reference)) * rig.period, reference, command, still,
                still if rig.accelerometer is not None else None, metadata)

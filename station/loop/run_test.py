@@ -8,6 +8,7 @@ its limited output; what is sent is rounded half up.
 
 from __future__ import annotations
 
+import copy
 import math
 import platform
 import threading
@@ -169,10 +170,12 @@ def run_test(port: Port, rig: Rig, compensator: Compensator, reference: np.ndarr
         accel_zero = rest.accel_zero
     if relative and not compensator.open_loop:
         reference = reference + rest.encoder
+    limit = math.floor(min(rig.command_limit, compensator.limit, identity.command_limit))
+    compensator = copy.copy(compensator)
+    compensator.limit = limit  # it works on with what acts, not with what the device would cut
     require_small_first_command(port.url, rig.sample_rate, compensator, reference[0], rest.encoder, accel_zero)
     compensator.reset(accel_zero)
     clock = HostClock()
-    limit = min(rig.command_limit, compensator.limit)
     known = metadata.entries() if isinstance(metadata, RunMetadata) else dict(metadata or {})
     completed = RunMetadata.model_validate({
         "rig": rig.model_dump(exclude_none=True), "controller": compensator.spec,
