@@ -39,7 +39,7 @@ Controller = str | Mapping[str, Any]
 def run_test(port: str | Port, rig: AnyRig, test: Mapping[str, Any], controller: Controller | None = None, *,
              out: str | Path | None = None, overwrite: bool = False, metadata: Mapping[str, Any] | None = None,
              progress: Callable[[int, int], None] | None = None, abort: threading.Event | None = None,
-             realtime: bool = False, force: bool = False) -> Run:
+             realtime: bool = False, force: bool = False, answer_ticks: int = 1) -> Run:
     """Run one test on the device at a port, as ``station run`` does; the run as it was logged.
 
     ``port``: a path, a pyserial URL, ``sim://sflr``, or a port that ``open_port`` gave, which stays open.  ``test``:
@@ -67,7 +67,7 @@ def run_test(port: str | Port, rig: AnyRig, test: Mapping[str, Any], controller:
         with open_port(port) if isinstance(port, str) else nullcontext(port) as line:
             run(line, model, compensator, reference, log_sink=partial(McapLogWriter, log, overwrite=overwrite),
                 metadata={"test": asked, **(metadata or {})}, progress=progress, abort=abort, realtime=realtime,
-                force=force)
+                force=force, answer_ticks=answer_ticks)
         return load_run(log)
 
 

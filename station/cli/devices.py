@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from station.cli.options import Baud, Json, Overwrite, Port, RigName, command, need_outputs
+from station.cli.options import AnswerTicks, Baud, Json, Overwrite, Port, RigName, command, need_outputs
 from station.cli.terminal import console, note, number, progress, row, say, table, write_json
 
 if TYPE_CHECKING:
@@ -46,9 +46,9 @@ def ports(json: Json = None, overwrite: Overwrite = False) -> None:
 def loopback(
     port: Port,
     rate: Annotated[float | None, typer.Option("--rate", min=1.0, metavar="HZ", help=(
-        "Samples per second; by default the most that the device offers."))] = None,
+        "Samples per second; by default the most that device and line offer."))] = None,
     seconds: Annotated[float, typer.Option("--seconds", min=0.1, max=3600.0, help="How long, s.")] = 2.0,
-    baud: Baud = None, json: Json = None, overwrite: Overwrite = False,
+    answer_ticks: AnswerTicks = 1, baud: Baud = None, json: Json = None, overwrite: Overwrite = False,
 ) -> None:
     """Check a line and its device, the motor held at zero: identity, rate, losses, latency, and what to do."""
     from station.device.client import Client
@@ -57,7 +57,7 @@ def loopback(
 
     need_outputs(json, overwrite=overwrite)
     with open_port(port, baud) as line:
-        found = exchange(line, rate, seconds)
+        found = exchange(line, rate, seconds, answer_ticks)
         counters = Client(line).statistics()._asdict()
     if json:
         write_json(json, {**asdict(found), "counters": counters})

@@ -21,6 +21,8 @@ Port = Annotated[str, typer.Option("--port", metavar="PORT", help=(
     "replay://FILE (a logged run)."))]
 Baud = Annotated[int | None, typer.Option("--baud", min=300, metavar="RATE", help=(
     "Baud rate of a board behind a UART, in place of 921600; USB and sockets take no notice."))]
+AnswerTicks = Annotated[int, typer.Option("--answer-ticks", min=1, max=4, metavar="N", help=(
+    "Ticks from a sample to the command that answers it; more than 1 for a line that is slow for the rate."))]
 Force = Annotated[bool, typer.Option("--force", help=(
     "Run a closed loop without a passed `station check` of this device and rig; the log says so."))]
 RunFile = Annotated[Path, typer.Argument(metavar="RUN", help=(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from station.cli.options import Baud, Force, Overwrite, Port, RigName, RunFile, command, need_folder
+from station.cli.options import AnswerTicks, Baud, Force, Overwrite, Port, RigName, RunFile, command, need_folder
 from station.cli.terminal import note, number, progress, say
 from station.control.named import OPEN
 from station.errors import StationError, UsageError
@@ -161,7 +161,7 @@ def need_log(out: Path) -> None:
 def single(port: str, rig: str, out: Path, asked: dict[str, Any], reference: np.ndarray | None = None, *,
            controller: str | None, gain: float | None, zero: float | None, pole: float | None, overwrite: bool,
            view: bool, force: bool, realtime: bool, tags: list[str] | None, note_: str | None,
-           baud: int | None) -> None:
+           baud: int | None, answer_ticks: int) -> None:
     """Run one test from the command line and say how it went."""
     from station.cli.controllers import controller_spec
     from station.device.port import open_port
@@ -179,7 +179,7 @@ def single(port: str, rig: str, out: Path, asked: dict[str, Any], reference: np.
     with open_port(port, baud) as line:
         try:
             result = perform(line, model, spec, asked, sink, reference, metadata=metadata, force=force,
-                             realtime=realtime)
+                             realtime=realtime, answer_ticks=answer_ticks)
         except (KeyboardInterrupt, StationError):
             if out.exists() and (overwrite or not before):
                 note(f"the rows so far are in {out}")
@@ -193,10 +193,11 @@ def _command_for(kind: str) -> Callable[..., None]:
 
     def run(port: Port, rig: RigName, out: Log, controller: Controller = None, gain: Gain = None, zero: Zero = None,
             pole: Pole = None, overwrite: Overwrite = False, view: View = False, force: Force = False,
-            realtime: RealTime = False, tag: Tags = None, note: Note = None, baud: Baud = None, **test: Any) -> None:
+            realtime: RealTime = False, tag: Tags = None, note: Note = None, baud: Baud = None,
+            answer_ticks: AnswerTicks = 1, **test: Any) -> None:
         asked = {"kind": kind, **{key: value for key, value in test.items() if value is not None}}
         single(port, rig, out, asked, controller=controller, gain=gain, zero=zero, pole=pole, overwrite=overwrite,
-               view=view, force=force, realtime=realtime, tags=tag, note_=note, baud=baud)
+               view=view, force=force, realtime=realtime, tags=tag, note_=note, baud=baud, answer_ticks=answer_ticks)
 
     hints = {name: hint for name, hint in inspect.get_annotations(run, eval_str=True).items() if name != "test"}
     common = [parameter.replace(annotation=hints[parameter.name])
@@ -224,6 +225,7 @@ def recorded(
     run: RunFile, port: Port, rig: RigName, out: Log, controller: Controller = None, gain: Gain = None,
     zero: Zero = None, pole: Pole = None, overwrite: Overwrite = False, view: View = False, force: Force = False,
     realtime: RealTime = False, tag: Tags = None, note: Note = None, baud: Baud = None,
+    answer_ticks: AnswerTicks = 1,
 ) -> None:
     """The reference of a logged run once more; under --controller open its commands."""
     from station.loop.plan import recorded_reference
@@ -232,7 +234,8 @@ def recorded(
     need_log(out)
     reference, asked = recorded_reference(run, load_rig(rig).sample_rate, controller == "open")
     single(port, rig, out, asked, reference, controller=controller, gain=gain, zero=zero, pole=pole,
-           overwrite=overwrite, view=view, force=force, realtime=realtime, tags=tag, note_=note, baud=baud)
+           overwrite=overwrite, view=view, force=force, realtime=realtime, tags=tag, note_=note, baud=baud,
+           answer_ticks=answer_ticks)
 
 
 @group.callback(invoke_without_command=True)
