@@ -109,7 +109,9 @@ def _status(arguments: list[str], interruption: _Interruption) -> int:
         message, status = str(error), error.exit_status
     except TyperException as error:
         message, status = error.format_message(), error.exit_code
-    except (Abort, KeyboardInterrupt):
+    except (Abort, KeyboardInterrupt) as error:
+        if words := str(error.__cause__ or error):  # Abort is what typer makes of the other
+            print(f"station: {one_line(words)}", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:             # the reader of our output has gone, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
