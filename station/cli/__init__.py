@@ -7,7 +7,8 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from types import FrameType
 
 from station.errors import StationError
@@ -46,6 +47,18 @@ def raise_interrupt() -> None:
     """KeyboardInterrupt where Ctrl-C has come: before a motor is armed, lest an import has swallowed it."""
     if _Interruption.last is not None and _Interruption.last.came:
         raise KeyboardInterrupt
+
+
+@contextmanager
+def motor_driven() -> Iterator[None]:
+    """Around what drives a motor: an earlier Ctrl-C ends it here, and what a later one says of the motor is told."""
+    raise_interrupt()
+    try:
+        yield
+    except KeyboardInterrupt as error:  # typer keeps no more of it than that it came
+        if str(error):
+            print(f"station: {error}", file=sys.stderr)
+        raise
 
 
 class _Interruption:
@@ -109,9 +122,7 @@ def _status(arguments: list[str], interruption: _Interruption) -> int:
         message, status = str(error), error.exit_status
     except TyperException as error:
         message, status = error.format_message(), error.exit_code
-    except (Abort, KeyboardInterrupt) as error:
-        if words := str(error.__cause__ or error):  # Abort is what typer makes of the other
-            print(f"station: {one_line(words)}", file=sys.stderr)
+    except (Abort, KeyboardInterrupt):
         return INTERRUPTED
     except BrokenPipeError:             # the reader of our output has gone, as `head` does
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -87,15 +87,14 @@ def check(
     baud: Baud = None, json: Json = None, overwrite: Overwrite = False,
 ) -> None:
     """Send small pulses either way; say whether motor, encoder and accelerometer work and which way they point."""
-    from station.cli import raise_interrupt
+    from station.cli import motor_driven
     from station.device.port import open_port
     from station.loop.check import check as check_rig
     from station.rig import load_rig
 
     need_outputs(json, overwrite=overwrite, inputs=[rig])
     model = load_rig(rig)
-    raise_interrupt()
-    with open_port(port, baud) as line, progress(f"check on {port}") as update:
+    with motor_driven(), open_port(port, baud) as line, progress(f"check on {port}") as update:
         found = check_rig(line, model, amplitude, lambda row, rows: update(row / rows))
     if json:
         write_json(json, asdict(found))

@@ -77,7 +77,7 @@ def perform(line: SerialPort, rig: Rig, controller: dict[str, Any], test: dict[s
 
     ``reference`` (counts) where the test's dictionary does not make it.  The abort key is heard meanwhile.
     """
-    from station.cli import raise_interrupt
+    from station.cli import motor_driven
     from station.cli.keys import WORDS as KEYS
     from station.cli.keys import abort_key
     from station.control.compensators import Compensator
@@ -89,8 +89,7 @@ def perform(line: SerialPort, rig: Rig, controller: dict[str, Any], test: dict[s
         reference = reference_from_test(test, rig.sample_rate)
     abort = threading.Event()
     what = f"{test['kind']} on {line.url}"
-    raise_interrupt()
-    with abort_key(abort.set) as heard, progress(f"{what}; {KEYS}" if heard else what) as update:
+    with motor_driven(), abort_key(abort.set) as heard, progress(f"{what}; {KEYS}" if heard else what) as update:
         return run_test(line, rig, compensator, reference, log_sink=sink, abort=abort,
                         progress=lambda row, rows: update(row / rows), **{"metadata": {"test": test}, **settings})
 
