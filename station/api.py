@@ -150,7 +150,11 @@ def load_run(run: AnyRun) -> Run:
 
 
 def _runs(runs: AnyRun | Sequence[AnyRun]) -> list[Run]:
-    found = [load_run(run) for run in ([runs] if isinstance(runs, Run | str | Path) else runs)]
+    from station.runs.names import load_runs
+
+    asked = [runs] if isinstance(runs, Run | str | Path) else list(runs)
+    files = iter(load_runs([run for run in asked if not isinstance(run, Run)]))
+    found = [run if isinstance(run, Run) else next(files) for run in asked]
     for name in {run.name for run in found}:
         if sum(run.name == name for run in found) > 1:
             raise UsageError(f"two runs are named {name}; results are told apart by name (dataclasses.replace)")
