@@ -142,9 +142,13 @@ class Run:
         object.__setattr__(self, "extra", arrays)
 
     @classmethod
-    def from_columns(cls, label: str, name: str, columns: Mapping[str, Any], metadata: RunMetadata) -> Run:
-        """Build from a file's columns; ``label`` (the path) stands before what a WorkError says."""
-        arrays, fault = as_columns(columns)
+    def from_columns(cls, label: str, name: str, columns: Mapping[str, Any], metadata: RunMetadata,
+                     first_line: int | None = None) -> Run:
+        """Build from a file's columns; ``label`` (the path) stands before what a WorkError says.
+
+        ``first_line``: the line of row 0, of a file of text, in which people look for lines.
+        """
+        arrays, fault = as_columns(columns, first_line)
         if fault:
             raise WorkError(f"{label}: {fault}")
         known = {column.name: arrays.pop(column.name) for column in COLUMNS if column.name in arrays}
