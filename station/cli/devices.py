@@ -22,14 +22,16 @@ PANEL = "Devices"
 def ports(json: Json = None, overwrite: Overwrite = False) -> None:
     """List the serial ports of this machine, and the simulated rigs."""
     from station.device.port import list_ports
+    from station.device.sealed import sealed_rigs
     from station.rig import builtin_rigs
 
     need_outputs(json, overwrite=overwrite)
     found = list_ports()
     simulated = [f"sim://{name}" for name in builtin_rigs()]
+    sealed = [f"sim://{name}" for name in sealed_rigs()]
     if json:
         write_json(json, {"ports": [{"port": port.path, "description": port.description, "hardware": port.hardware}
-                                    for port in found], "simulated": simulated})
+                                    for port in found], "simulated": simulated, "sealed": sealed})
         if json == "-":
             return
     shown = table("", "port", "description")
@@ -37,6 +39,8 @@ def ports(json: Json = None, overwrite: Overwrite = False) -> None:
         row(shown, port.path, port.description)
     for url in simulated:
         row(shown, url, "simulated rig, no hardware")
+    for url in sealed:
+        row(shown, url, "the rig sflr with a hidden effect; `station unseal` opens it")
     console().print(shown)
     if not found:
         say("This machine has no serial port; is the board plugged in?")

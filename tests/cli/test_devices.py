@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from station.device.sealed import fingerprint, sealed_text
 from station.rig import builtin_rigs
 from station.runs import load_run
 
@@ -19,7 +20,9 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def test_ports_lists_the_simulated_rigs(station):
     assert "sim://sflr" in station("ports").out
-    assert "sim://sflr" in json.loads(station("ports", "--json", "-").out)["simulated"]
+    found = json.loads(station("ports", "--json", "-").out)
+    assert "sim://sflr" in found["simulated"] and found["sealed"] == [f"sim://sealed-{n}" for n in (1, 2, 3)]
+    assert "sim://sealed-1" in station("ports").out
 
 
 def test_loopback_judges_a_good_line_and_a_bad_one(station):
@@ -63,3 +66,31 @@ def test_another_program_finds_the_device_at_a_socket(station, tmp_path):
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=20)
     assert process.returncode == 0 and "Traceback" not in err
+
+
+def test_a_sealed_rig_is_tested_diagnosed_and_opened(station, tmp_path):
+    """As the README says it: nothing of what is hidden stands in the runs; the seal's words judge the diagnosis."""
+    files = []
+    for kind, more in (("pulse", []), ("step", ["--controller", "lead"]), ("sweep", ["--duration", 8, "--f1", 20])):
+        files.append(tmp_path / f"{kind}.mcap")
+        ended = station("run", kind, "--port", "sim://sealed-1", "--rig", "sflr", "--out", files[-1], *more)
+        assert ended.status == 0, ended.err
+        assert not load_run(files[-1]).metadata.rig["effects"]
+    found = tmp_path / "diagnosis.json"
+    assert station("diagnose", "--rig", "sflr", *files, "--effort", "quick", "--json", found).status == 0
+    ended = station("unseal", "sealed-1", "--diagnosis", found, "--out", tmp_path / "hidden.toml")
+    assert ended.status == 0 and ended.out.startswith("Hidden was: ") and "\nRIGHT: " in ended.out
+    assert (tmp_path / "hidden.toml").read_text() == sealed_text("sealed-1")
+    assert fingerprint("sealed-1") in ended.out
+    causes = json.loads(found.read_text())
+    found.write_text(json.dumps(causes | {"causes": []}))
+    assert "WRONG: nothing was named" in station("unseal", "sim://sealed-1", "--diagnosis", found).out
+
+
+@pytest.mark.parametrize(("options", "status", "words"), [
+    (["sealed-9"], 2, "there are sealed-1"), (["sealed-1", "--diagnosis", "nowhere.json"], 1, "nowhere.json"),
+    (["sealed-1", "--diagnosis", __file__], 2, "not a diagnosis"),
+    (["sealed-1", "--diagnosis", __file__, "--out", __file__], 2, "is an input")])
+def test_a_seal_that_is_opened_wrongly(station, options, status, words):
+    ended = station("unseal", *options)
+    assert ended.status == status and words in ended.one_line()
