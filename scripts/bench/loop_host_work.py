@@ -123,7 +123,7 @@ def main() -> int:
         print("TCLab's loop: not measured (pip install tclab)")
     else:
         logged, plain = np.median(np.array(peers), axis=0)
-        print(f"TCLab's loop above its own bare one: {logged:.1f} us per sample ({logged / median:.1f} times Station's), "
+        print(f"TCLab's loop above its own bare one: {logged:.1f} us per sample ({logged / median:.1f} times ours), "
               f"{plain:.1f} us without its database ({plain / median:.1f} times)")
     return 0 if median < WANTED_US else 1
 

@@ -20,7 +20,7 @@ from station.errors import WorkError
 from station.loop.run_test import run_test
 from station.loop.sink import MemorySink
 from station.rig import load_rig
-from station.runs import McapLogWriter, load_run
+from station.runs import McapLogWriter, load_run, mcap_log
 from station.runs.mcap_read import scan_mcap
 from station.runs.run import RunMetadata
 from tests.runs.examples import METADATA, assert_same, full_run
@@ -249,3 +249,25 @@ def test_memory_stays_flat_over_many_rows(tmp_path):
     assert len(log._queue) <= 2000
     log.close()
     assert len(load_run(tmp_path / "a.mcap")) == 20000
+
+
+def test_a_row_wakes_the_thread_once_it_is_due_and_not_before(tmp_path, monkeypatch):
+    """Right after an answer, when nobody else wants the interpreter, and before the thread's own time has come."""
+    monkeypatch.setattr(mcap_log, "FLUSH_SECONDS", 30.0)
+    monkeypatch.setattr(mcap_log, "DUE_SECONDS", 0.5)
+    log = McapLogWriter(tmp_path / "a.mcap", RunMetadata(), blueprint=False)
+
+    def written(count, seconds=5.0):
+        end = time.monotonic() + seconds
+        while log.rows_written < count and time.monotonic() < end:
+            time.sleep(0.005)
+        return log.rows_written
+
+    log.append(row(0))
+    assert written(1) == 1  # the first row is due at once
+    log.append(row(1))
+    assert written(2, 0.1) == 1
+    time.sleep(0.5)
+    log.append(row(2))
+    assert written(3) == 3
+    log.close()
