@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -11,6 +13,10 @@ from pathlib import Path
 
 import pytest
 
+from station.device.arm import GCC
+from station.device.build import source_hash
+from station.device.emulator import QEMU
+from station.device.protocol import MESSAGES
 from station.device.sealed import fingerprint, sealed_text
 from station.rig import builtin_rigs
 from station.runs import load_run
@@ -40,6 +46,17 @@ def test_check_passes_the_rig_it_knows_and_names_a_reversed_motor(station, tmp_p
     assert not found["passed"] and found["motor"] == -1
 
 
+def test_loopback_shows_every_counter_of_the_device(station):
+    names = {field.name for field in MESSAGES["statistics"].fields}
+    told = station("loopback", "--port", "sim://sflr?drop=0.05&seed=3").out
+    assert names >= {"held", "zeroed", "late", "corrupt", "overruns", "woke_late", "unsent_samples"}
+    line = next(line for line in told.splitlines() if line.startswith("the device's counters:"))
+    assert all(f" {name} " in line for name in names - {"state", "fault", "status"})
+    assert int(re.search(r" held (\d+)", line)[1]) > 0
+    found = json.loads(station("loopback", "--port", "sim://sflr", "--json", "-").out)
+    assert set(found["counters"]) == names
+
+
 @pytest.mark.parametrize("command", [["loopback"], ["check", "--rig", "sflr"]])
 def test_a_port_that_is_nowhere(station, command):
     ended = station(*command, "--port", "/dev/no-such-port")
@@ -52,16 +69,22 @@ def test_a_device_that_never_answers(station):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Ctrl-C is sent otherwise on Windows")
-def test_another_program_finds_the_device_at_a_socket(station, tmp_path):
-    process = subprocess.Popen([sys.executable, "-m", "station", "device", "--rig", "sflr", "--tcp", "0",
-                                "--speed", "0"], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+@pytest.mark.parametrize("board", ["host", "mps2_an385"])
+def test_another_program_finds_the_device_at_a_socket(station, tmp_path, board):
+    if board != "host" and not (shutil.which(QEMU) and shutil.which(GCC)):
+        pytest.skip(f"no {QEMU} or no {GCC} here")
+    arguments = ["device", "--rig", "sflr", "--tcp", "0", "--speed", "0", "--board", board]
+    process = subprocess.Popen([sys.executable, "-m", "station", *arguments], cwd=ROOT, stdout=subprocess.PIPE,
+                               stderr=subprocess.PIPE, text=True)
     try:
         address = process.stdout.readline().strip()
         assert address.startswith("socket://127.0.0.1:")
         out = tmp_path / "run.mcap"
         ended = station("run", "step", "--port", address, "--rig", "sflr", "--duration", "0.6", "--out", out)
         assert ended.status == 0, ended.err
-        assert len(load_run(out)) == 300
+        run = load_run(out)
+        assert len(run) == 300 and run.metadata.firmware["board"] == "sflr"
+        assert (run.metadata.firmware["build"] == f"{source_hash():08x}") == (board == "host")
     finally:
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=20)

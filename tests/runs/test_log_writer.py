@@ -8,6 +8,7 @@ import sys
 import textwrap
 import threading
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -271,3 +272,22 @@ def test_a_row_wakes_the_thread_once_it_is_due_and_not_before(tmp_path, monkeypa
     log.append(row(2))
     assert written(3) == 3
     log.close()
+
+
+def test_the_file_is_synced_once_a_second_and_at_its_end(tmp_path, monkeypatch):
+    """Not with each chunk, which would wear the disk and hold the log up; never more than a second apart."""
+    synced = []
+    real = os.fsync
+    monkeypatch.setattr(mcap_log.os, "fsync", lambda number: (synced.append(time.monotonic()), real(number)))
+    log = McapLogWriter(tmp_path / "a.mcap", METADATA, blueprint=False)
+    assert len(synced) == 1  # its head
+    end = time.monotonic() + 2.5
+    index = 0
+    while time.monotonic() < end:
+        log.append(row(index))
+        index += 1
+        time.sleep(0.01)
+    assert len(synced) == 3
+    assert all(after - before >= 0.95 for before, after in pairwise(synced))
+    log.close()
+    assert len(synced) == 4
