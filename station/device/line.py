@@ -71,5 +71,8 @@ class Line:
 
 def is_usb(path: str) -> bool:
     """Whether the port is a serial line over USB: an adapter's, or the chip's own.  False for what no system lists."""
-    real = os.path.realpath(path) if os.path.exists(path) else path
-    return any(found.vid is not None and found.device in (path, real) for found in comports())
+    names = {path, path.replace("/dev/tty.", "/dev/cu.", 1)}  # macOS: two names of one port, the second is listed
+    if os.path.islink(path):
+        names.add(os.path.realpath(path))
+    wanted = {os.path.normcase(name) for name in names}
+    return any(found.vid is not None and os.path.normcase(found.device) in wanted for found in comports())

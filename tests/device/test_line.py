@@ -60,6 +60,18 @@ def adapter(monkeypatch):
                                                    SimpleNamespace(device="sim://sflr", vid=0x0403)])
 
 
+def test_a_port_over_usb_is_known_by_each_of_its_names(monkeypatch, tmp_path):
+    by_id = tmp_path / "usb-FTDI"
+    by_id.symlink_to("/dev/ttyUSB7")
+    monkeypatch.setattr(line, "comports", lambda: [
+        SimpleNamespace(device=name, vid=vid) for name, vid in (
+            ("/dev/ttyUSB7", 0x0403), ("/dev/cu.usbserial-1", 0x0403), ("/dev/ttyS0", None))])
+    for path in ("/dev/ttyUSB7", str(by_id), "/dev/cu.usbserial-1", "/dev/tty.usbserial-1"):
+        assert line.is_usb(path), path
+    for path in ("/dev/ttyS0", "/dev/ttyUSB8", "sim://sflr", "socket://127.0.0.1:7777"):
+        assert not line.is_usb(path), path
+
+
 def test_a_line_that_carries_the_rate_runs(rows, uart):  # noqa: F811
     assert rows.test(uart).counts.samples == 600
 
