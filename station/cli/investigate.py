@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from station.cli.options import Force, Port, RigName, command
+from station.cli.options import AnswerTicks, Baud, Force, Port, RigName, command
 from station.cli.terminal import console, note, progress, say
 from station.errors import UsageError, WorkError
 
@@ -36,7 +36,7 @@ def investigate(
     effort: Annotated[Literal["quick", "full"], typer.Option("--effort", help="As in station diagnose.")] = "full",
     cap: Annotated[float | None, typer.Option("--cap", min=1.0, metavar="COUNTS", help=(
         "Largest amplitude of any test, besides what the rig's [limits] allow."))] = None,
-    force: Force = False,
+    force: Force = False, baud: Baud = None, answer_ticks: AnswerTicks = 1,
 ) -> None:
     """Run tests, each chosen by what those before left open, until it is decided what the simulation gets wrong.
 
@@ -50,13 +50,13 @@ def investigate(
 
     model = load_rig(rig)
     asked = None if first is None else first_test(first, model)
-    kept = Folder(out, model, cap, force)
+    kept = Folder(out, model, cap, force, answer_ticks)
 
     def find(nominal: Rig, runs: list[Run]) -> DiagnosisResult:
         with progress(f"diagnosing {len(runs)} run{'s' if len(runs) > 1 else ''}") as update:
             return diagnose(nominal, runs, effort, lambda text, share: update(share, text))
 
-    with open_port(port) as line:
+    with open_port(port, baud) as line:
         kept.make()
         try:
             found = search(model, partial(kept.run, line), find, budget=budget, first=asked,
@@ -120,13 +120,14 @@ def capped(test: dict[str, Any], open_loop: bool, rig: Rig, cap: float | None) -
 class Folder:
     """What an investigation leaves: runs as they are made, and after each the diagnosis and the extended rig."""
 
-    def __init__(self, path: Path, rig: Rig, cap: float | None = None, force: bool = False) -> None:
+    def __init__(self, path: Path, rig: Rig, cap: float | None = None, force: bool = False,
+                 answer_ticks: int = 1) -> None:
         """Refuse a folder with files in it, before anything is run."""
         if path.exists() and not path.is_dir():
             raise WorkError(f"{path}: is a file; name a folder with --out")
         if path.is_dir() and any(path.iterdir()):
             raise WorkError(f"{path}: holds files already; name a new folder with --out")
-        self.path, self.rig, self.cap, self.force = path, rig, cap, force
+        self.path, self.rig, self.cap, self.force, self.answer_ticks = path, rig, cap, force, answer_ticks
         self.made = 0
         self.found: DiagnosisResult | None = None
         self.files: dict[str, Path] = {}
@@ -144,7 +145,8 @@ class Folder:
         self.made += 1
         out = self.path / "runs" / f"{self.made:02d}-{test['kind']}-{controller['kind'].replace('_', '-')}.mcap"
         try:
-            perform(line, self.rig, controller, test, partial(McapLogWriter, out), force=self.force)
+            perform(line, self.rig, controller, test, partial(McapLogWriter, out), force=self.force,
+                    answer_ticks=self.answer_ticks)
         except (KeyboardInterrupt, WorkError):
             if out.exists():
                 note(f"the rows so far are in {out}")
