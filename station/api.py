@@ -39,7 +39,7 @@ Controller = str | Mapping[str, Any]
 def run_test(port: str | Port, rig: AnyRig, test: Mapping[str, Any], controller: Controller | None = None, *,
              out: str | Path | None = None, overwrite: bool = False, metadata: Mapping[str, Any] | None = None,
              progress: Callable[[int, int], None] | None = None, abort: threading.Event | None = None,
-             realtime: bool = False, force: bool = False) -> Run:
+             realtime: bool = False, force: bool = False, answer_ticks: int = 1) -> Run:
     """Run one test on the device at a port, as ``station run`` does; the run as it was logged.
 
     ``port``: a path, a pyserial URL, ``sim://sflr``, or a port that ``open_port`` gave, which stays open.  ``test``:
@@ -67,7 +67,7 @@ def run_test(port: str | Port, rig: AnyRig, test: Mapping[str, Any], controller:
         with open_port(port) if isinstance(port, str) else nullcontext(port) as line:
             run(line, model, compensator, reference, log_sink=partial(McapLogWriter, log, overwrite=overwrite),
                 metadata={"test": asked, **(metadata or {})}, progress=progress, abort=abort, realtime=realtime,
-                force=force)
+                force=force, answer_ticks=answer_ticks)
         return load_run(log)
 
 
@@ -78,6 +78,7 @@ def simulate(rig: AnyRig, test: AnyRun | Mapping[str, Any], controller: Controll
     A closed loop runs from the reference with its own compensator on the model's readings; ``controller`` puts another
     in its place.
     """
+    from station.model.simulate import limit_of
     from station.model.simulate import simulate as model
 
     described = load_rig(rig)
@@ -91,7 +92,7 @@ def simulate(rig: AnyRig, test: AnyRun | Mapping[str, Any], controller: Controll
     made = model(described, run, accel_offset=run.metadata.accel_zero)
     metadata = run.metadata.model_copy(update={
         "rig": described.model_dump(exclude_none=True), "firmware": None, "session": None, "zero_id": None,
-        "simulated": True})
+        "command_limit": limit_of(described, run.metadata), "simulated": True})
     return Run(name, run.t, made.reference, made.command, made.encoder, made.accel, metadata)
 
 
@@ -149,7 +150,11 @@ def load_run(run: AnyRun) -> Run:
 
 
 def _runs(runs: AnyRun | Sequence[AnyRun]) -> list[Run]:
-    found = [load_run(run) for run in ([runs] if isinstance(runs, Run | str | Path) else runs)]
+    from station.runs.names import load_runs
+
+    asked = [runs] if isinstance(runs, Run | str | Path) else list(runs)
+    files = iter(load_runs([run for run in asked if not isinstance(run, Run)]))
+    found = [run if isinstance(run, Run) else next(files) for run in asked]
     for name in {run.name for run in found}:
         if sum(run.name == name for run in found) > 1:
             raise UsageError(f"two runs are named {name}; results are told apart by name (dataclasses.replace)")
@@ -172,6 +177,6 @@ def _planned(rig: Rig, test: dict[str, Any], controller: Controller | None) -> R
     reference = reference_from_test(test, rig.sample_rate)
     spec, still = _controller(controller, test, rig), np.zeros(len(reference))
     metadata = RunMetadata(rig=rig.name, controller=spec, test=test, command_row=-1)
-    command = reference if spec.get("kind") == "open" else still
+    command = np.clip(reference, -rig.command_limit, rig.command_limit) if spec.get("kind") == "open" else still
     return Run("planned", np.arange(len(reference)) * rig.period, reference, command, still,
                still if rig.accelerometer is not None else None, metadata)

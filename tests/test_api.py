@@ -68,6 +68,13 @@ def test_a_planned_test_is_simulated_as_the_loop_runs_it(step):
     assert other.metadata.controller["kind"] == "lead" and not np.array_equal(other.encoder, step.encoder)
 
 
+def test_a_pulse_beyond_the_limit_is_simulated_as_the_device_cuts_it():
+    pulse = {"kind": "pulse", "amplitude": 300.0, "duration": 0.8}
+    run, made = st.run_test("sim://sflr", "sflr", pulse), st.simulate("sflr", pulse)
+    assert run.command.max() == 200.0
+    np.testing.assert_array_equal([made.command, made.encoder], [run.command, run.encoder])
+
+
 def test_a_comparison_with_the_rig_itself_is_nothing(step):
     found = st.compare("sflr", step).measures
     assert [row["encoder"]["nrmse"] for row in found] == [0.0]

@@ -7,12 +7,18 @@ loop reads as many bytes as a sample has and writes a command that was encoded b
 steps a lead compensator, encodes, answers, watches over the arm and appends the row to a list.  Both are measured in
 CPU time of the thread, so that what else runs on the machine counts for neither.
 
+The peer, where it is installed (`pip install tclab`; no test asks for it): TCLab's own loop on its own simulated
+device, in turns with the two.  Its user reads T1, works out a proportional command, sets Q1 and lets its Historian log
+the row, into its database in memory as it does by default and without one; its bare loop reads T1 and sets Q1.
+
 Wanted: the median difference is below 15 us per sample.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
 import os
 import sys
 import time
@@ -72,6 +78,27 @@ def station(port: Port, rows: int) -> float:
     return 1e6 * (cost(port, rows + short) - cost(port, short)) / rows
 
 
+def peer(rows: int, database: str | None) -> float | None:
+    """Microseconds of CPU per sample of TCLab's loop above a bare read and write of its device; None: not installed."""
+    try:
+        from tclab import Historian, TCLabModel
+    except ImportError:
+        return None
+    with contextlib.redirect_stdout(io.StringIO()):
+        lab = TCLabModel()
+        history = Historian(lab.sources, dbfile=database)
+    begun = time.thread_time()
+    for row in range(rows):
+        lab.Q1(2.0 * (50.0 - lab.T1))
+        history.update(row / RIG.sample_rate)
+    whole = time.thread_time() - begun
+    begun = time.thread_time()
+    for _ in range(rows):
+        lab.Q1(20.0)
+        _ = lab.T1
+    return 1e6 * (whole - (time.thread_time() - begun)) / rows
+
+
 def main() -> int:
     """Take turns; print each, then the median difference."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -79,18 +106,25 @@ def main() -> int:
     parser.add_argument("--rows", type=int, default=6000)
     options = parser.parse_args()
     print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} CPUs")
-    pairs = []
+    pairs, peers = [], []
     with open_port("sim://sflr?noise=1&seed=1") as port:
         station(port, 1000)  # compiles
         for turn in range(options.turns):
             ours, theirs = station(port, options.rows), bare(port, options.rows)
             Client(port).wait(1.0)
             pairs.append((ours, theirs))
+            peers.append([peer(options.rows, database) for database in (":memory:", None)])
             print(f"{turn + 1}: Station {ours:.1f} us, bare pyserial {theirs:.1f}, difference {ours - theirs:.1f}")
     both = np.array(pairs)
     median = float(np.median(both[:, 0] - both[:, 1]))
     print(f"median difference {median:.1f} us per sample (ratio {np.median(both[:, 0] / both[:, 1]):.2f}), "
           f"wanted below {WANTED_US:g}: {'met' if median < WANTED_US else 'NOT MET'}")
+    if peers[0][0] is None:
+        print("TCLab's loop: not measured (pip install tclab)")
+    else:
+        logged, plain = np.median(np.array(peers), axis=0)
+        print(f"TCLab's loop above its own bare one: {logged:.1f} us per sample ({logged / median:.1f} times ours), "
+              f"{plain:.1f} us without its database ({plain / median:.1f} times)")
     return 0 if median < WANTED_US else 1
 
 

@@ -131,12 +131,15 @@ def station_turn(folder: Path, url: str, ticks: int, rig: Rig | None = None, vie
         while seen < ticks:
             n = np.arange(max(ticks - seen, round(rig.sample_rate)))
             reference = np.where((n < 0.25 * rig.sample_rate) | (n // 250 % 2 == 1), 0.0, 50.0)
+            logs.clear()
             try:
                 run_test(port, rig, compensator, reference, log_sink=make, force=True, realtime=True)
             except WorkError as error:
                 if "in fault" not in str(error):
                     raise
                 faults += 1
+            if not logs:  # the fault came while the arm's rest was measured
+                continue
             status = np.array([row[0] for row in logs[-1].rows], dtype=int)
             latency += [row[1] for row in logs[-1].rows]
             woke = (status & Status.WOKE_LATE) != 0

@@ -34,7 +34,7 @@ def planned(rig: Rig, factors: Sequence[float] | None = None) -> list[Run]:
     for (name, (controller, test)), factor in zip(TESTS.items(), factors or [1.0] * len(TESTS), strict=True):
         test = {**test, "amplitude": float(round_half_up(test["amplitude"] * factor))}
         reference = reference_from_test(test, rig.sample_rate)
-        command = np.clip(reference, -rig.amplifier.limit, rig.amplifier.limit)
+        command = np.clip(reference, -rig.command_limit, rig.command_limit)
         still = np.zeros(len(reference))
         metadata = RunMetadata(rig=rig.name, controller=NAMED[controller], test=test, command_row=-1, zero_id="bench")
         runs.append(Run(name, np.arange(len(reference)) * rig.period, reference, command, still, still, metadata))

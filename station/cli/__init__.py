@@ -7,7 +7,8 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from types import FrameType
 
 from station.errors import StationError
@@ -46,6 +47,18 @@ def raise_interrupt() -> None:
     """KeyboardInterrupt where Ctrl-C has come: before a motor is armed, lest an import has swallowed it."""
     if _Interruption.last is not None and _Interruption.last.came:
         raise KeyboardInterrupt
+
+
+@contextmanager
+def motor_driven() -> Iterator[None]:
+    """Around what drives a motor: an earlier Ctrl-C ends it here, and what a later one says of the motor is told."""
+    raise_interrupt()
+    try:
+        yield
+    except KeyboardInterrupt as error:  # typer keeps no more of it than that it came
+        if str(error):
+            print(f"station: {error}", file=sys.stderr)
+        raise
 
 
 class _Interruption:

@@ -20,7 +20,7 @@ from station.errors import WorkError
 if TYPE_CHECKING:
     import numpy as np
 
-    from station.diagnose.result import DiagnosisResult, RunComparison
+    from station.diagnose.result import Diagnosis, DiagnosisResult, RunComparison
     from station.model.effects import Effect
     from station.rig import Rig
     from station.runs.run import Run
@@ -88,7 +88,7 @@ def demo(
         say("5. The seal is opened")
         hidden = sealed.open()
         shutil.copyfile(sealed.path, folder / "hidden_rig.toml")
-    for line in told(hidden.effects[0], result):
+    for line in told(hidden.effects[0], result.diagnosis):
         say(line)
     say()
     say(f"{time.perf_counter() - begun:.0f} s. Look at {folder / 'report.html'}; repeat this draw by --seed {seed}.")
@@ -146,15 +146,16 @@ def _gain(result: DiagnosisResult, apart: Run) -> RunComparison:
     return RunComparison(apart, before, refit, after, held_out=True)
 
 
-def told(effect: Effect, result: DiagnosisResult) -> list[str]:
-    """What was hidden, and whether the diagnosis was right: wrong as plainly as right."""
+def told(effect: Effect, diagnosis: Diagnosis | None) -> list[str]:
+    """What was hidden, and whether the diagnosis, if there is one, was right: wrong as plainly as right."""
     from station.view.wording import cause_title
 
     hidden, truth = cause_title(effect.name, effect.at), effect.values()
     units = {name: info.unit for name, info in effect.parameters().items()}
     lines = [f"   Hidden was: {hidden}, "
              + ", ".join(f"{name.replace('_', ' ')} {quantity(value, units[name])}" for name, value in truth.items())]
-    diagnosis = result.diagnosis
+    if diagnosis is None:
+        return lines
     named = [(cause.effect, cause.at) for cause in diagnosis.causes]
     rivals = [(rival.effect, rival.at) for cause in diagnosis.causes for rival in cause.rivals]
     place = (effect.name, effect.at)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from station.cli.options import Baud, Json, Overwrite, Port, RigName, command, need_outputs
+from station.cli.options import AnswerTicks, Baud, Json, Overwrite, Port, RigName, command, need_outputs
 from station.cli.terminal import as_json, console, note, number, progress, row, say, table
 
 if TYPE_CHECKING:
@@ -22,19 +22,23 @@ PANEL = "Devices"
 def ports(json: Json = None, overwrite: Overwrite = False) -> None:
     """List the serial ports of this machine, and the simulated rigs."""
     from station.device.port import list_ports
+    from station.device.sealed import sealed_rigs
     from station.rig import builtin_rigs
 
     need_outputs(json, overwrite=overwrite)
     found = list_ports()
     simulated = [f"sim://{name}" for name in builtin_rigs()]
+    sealed = [f"sim://{name}" for name in sealed_rigs()]
     if as_json(json, {"ports": [{"port": port.path, "description": port.description, "hardware": port.hardware}
-                                for port in found], "simulated": simulated}):
+                                for port in found], "simulated": simulated, "sealed": sealed}):
         return
     shown = table("", "port", "description")
     for port in found:
         row(shown, port.path, port.description)
     for url in simulated:
         row(shown, url, "simulated rig, no hardware")
+    for url in sealed:
+        row(shown, url, "the rig sflr with a hidden effect; `station unseal` opens it")
     console().print(shown)
     if not found:
         say("This machine has no serial port; is the board plugged in?")
@@ -44,9 +48,9 @@ def ports(json: Json = None, overwrite: Overwrite = False) -> None:
 def loopback(
     port: Port,
     rate: Annotated[float | None, typer.Option("--rate", min=1.0, metavar="HZ", help=(
-        "Samples per second; by default the most that the device offers."))] = None,
+        "Samples per second; by default the most that device and line offer."))] = None,
     seconds: Annotated[float, typer.Option("--seconds", min=0.1, max=3600.0, help="How long, s.")] = 2.0,
-    baud: Baud = None, json: Json = None, overwrite: Overwrite = False,
+    answer_ticks: AnswerTicks = 1, baud: Baud = None, json: Json = None, overwrite: Overwrite = False,
 ) -> None:
     """Check a line and its device, the motor held at zero: identity, rate, losses, latency, and what to do."""
     from station.device.client import Client
@@ -55,7 +59,7 @@ def loopback(
 
     need_outputs(json, overwrite=overwrite)
     with open_port(port, baud) as line:
-        found = exchange(line, rate, seconds)
+        found = exchange(line, rate, seconds, answer_ticks)
         counters = Client(line).statistics()._asdict()
     if as_json(json, {**asdict(found), "counters": counters}):
         return
@@ -83,15 +87,14 @@ def check(
     baud: Baud = None, json: Json = None, overwrite: Overwrite = False,
 ) -> None:
     """Send small pulses either way; say whether motor, encoder and accelerometer work and which way they point."""
-    from station.cli import raise_interrupt
+    from station.cli import motor_driven
     from station.device.port import open_port
     from station.loop.check import check as check_rig
     from station.rig import load_rig
 
     need_outputs(json, overwrite=overwrite, inputs=[rig])
     model = load_rig(rig)
-    raise_interrupt()
-    with open_port(port, baud) as line, progress(f"check on {port}") as update:
+    with motor_driven(), open_port(port, baud) as line, progress(f"check on {port}") as update:
         found = check_rig(line, model, amplitude, lambda row, rows: update(row / rows))
     if as_json(json, asdict(found)):
         return

@@ -219,8 +219,7 @@ def replay(
 
 def _command_limit(run: Run, path: Path) -> float:
     """The limit under which a run was made, else that of its rig."""
-    own = run.metadata.entries().get("command_limit")
-    return float(own) if isinstance(own, int | float) else rig_of(run, path).command_limit
+    return run.metadata.command_limit or rig_of(run, path).command_limit
 
 
 def _simulated(model: str, runs: list[Run], save: Path | None) -> list[dict[str, Any]]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from station.cli.options import Force, Json, Overwrite, Port, RigName, command, need_outputs
+from station.cli.options import AnswerTicks, Baud, Force, Json, Overwrite, Port, RigName, command, need_outputs
 from station.cli.terminal import as_json, console, note, progress, say, spoken
 from station.errors import UsageError, WorkError
 
@@ -36,7 +36,8 @@ def investigate(
     effort: Annotated[Literal["quick", "full"], typer.Option("--effort", help="As in station diagnose.")] = "full",
     cap: Annotated[float | None, typer.Option("--cap", min=1.0, metavar="COUNTS", help=(
         "Largest amplitude of any test, besides what the rig's [limits] allow."))] = None,
-    force: Force = False, json: Json = None, overwrite: Overwrite = False,
+    force: Force = False, baud: Baud = None, answer_ticks: AnswerTicks = 1, json: Json = None,
+    overwrite: Overwrite = False,
 ) -> None:
     """Run tests, each chosen by what those before left open, until it is decided what the simulation gets wrong.
 
@@ -51,13 +52,13 @@ def investigate(
     need_outputs(json, overwrite=overwrite, inputs=[rig])
     model = load_rig(rig)
     asked = None if first is None else first_test(first, model)
-    kept = Folder(out, model, cap, force)
+    kept = Folder(out, model, cap, force, answer_ticks)
 
     def find(nominal: Rig, runs: list[Run]) -> DiagnosisResult:
         with progress(f"diagnosing {len(runs)} run{'s' if len(runs) > 1 else ''}") as update:
             return diagnose(nominal, runs, effort, lambda text, share: update(share, text))
 
-    with spoken(json), open_port(port) as line:
+    with spoken(json), open_port(port, baud) as line:
         kept.make()
         try:
             found = search(model, partial(kept.run, line), find, budget=budget, first=asked,
@@ -123,13 +124,14 @@ def capped(test: dict[str, Any], open_loop: bool, rig: Rig, cap: float | None) -
 class Folder:
     """What an investigation leaves: runs as they are made, and after each the diagnosis and the extended rig."""
 
-    def __init__(self, path: Path, rig: Rig, cap: float | None = None, force: bool = False) -> None:
+    def __init__(self, path: Path, rig: Rig, cap: float | None = None, force: bool = False,
+                 answer_ticks: int = 1) -> None:
         """Refuse a folder with files in it, before anything is run."""
         if path.exists() and not path.is_dir():
             raise WorkError(f"{path}: is a file; name a folder with --out")
         if path.is_dir() and any(path.iterdir()):
             raise WorkError(f"{path}: holds files already; name a new folder with --out")
-        self.path, self.rig, self.cap, self.force = path, rig, cap, force
+        self.path, self.rig, self.cap, self.force, self.answer_ticks = path, rig, cap, force, answer_ticks
         self.made = 0
         self.found: DiagnosisResult | None = None
         self.files: dict[str, Path] = {}
@@ -147,7 +149,8 @@ class Folder:
         self.made += 1
         out = self.path / "runs" / f"{self.made:02d}-{test['kind']}-{controller['kind'].replace('_', '-')}.mcap"
         try:
-            perform(line, self.rig, controller, test, partial(McapLogWriter, out), force=self.force)
+            perform(line, self.rig, controller, test, partial(McapLogWriter, out), force=self.force,
+                    answer_ticks=self.answer_ticks)
         except (KeyboardInterrupt, WorkError):
             if out.exists():
                 note(f"the rows so far are in {out}")

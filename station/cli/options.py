@@ -21,6 +21,8 @@ Port = Annotated[str, typer.Option("--port", metavar="PORT", help=(
     "replay://FILE (a logged run)."))]
 Baud = Annotated[int | None, typer.Option("--baud", min=300, metavar="RATE", help=(
     "Baud rate of a board behind a UART, in place of 921600; USB and sockets take no notice."))]
+AnswerTicks = Annotated[int, typer.Option("--answer-ticks", min=1, max=4, metavar="N", help=(
+    "Ticks from a sample to the command that answers it; more than 1 for a line that is slow for the rate."))]
 Force = Annotated[bool, typer.Option("--force", help=(
     "Run a closed loop without a passed `station check` of this device and rig; the log says so."))]
 RunFile = Annotated[Path, typer.Argument(metavar="RUN", help=(
@@ -39,23 +41,16 @@ def command(app: typer.Typer, name: str, panel: str, example: str) -> Callable[[
 
 
 def load_runs(paths: list[Path]) -> list[Run]:
-    """Read run files, whose names must differ: results are told apart by them."""
-    from station.runs import load_run
+    """Read run files, and say what they lack; runs of one name in two folders get names that tell them apart."""
+    from station.runs.names import load_runs as load
 
-    seen: dict[str, Path] = {}
-    runs = []
-    for path in paths:
-        run = load_run(path)
-        if run.name in seen:
-            raise UsageError(f"{path}: another run is named {run.name} too ({seen[run.name]}); results are told apart "
-                             "by the files' names, so copy or rename one of them")
-        seen[run.name] = path
+    runs = load(paths)
+    for path, run in zip(paths, runs, strict=True):
         early = run.metadata.entries().get("cut_short")
         if early:
             note(f"{path}: the log ends early ({early}); the {len(run)} rows that it has are used")
         if run.lost_samples:
             note(f"{path}: {run.lost_samples} samples are missing; simulations run on through the gaps")
-        runs.append(run)
     return runs
 
 

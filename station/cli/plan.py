@@ -84,7 +84,8 @@ def _go_on(plan: Plan, line: Port, left: list[tuple[int, Trial]], runs: dict[Tri
             note(f"{aside}: ended early; kept, and its test is made again")
         path = out / trial.file_name
         result = perform(line, plan.rig, trial.controller, trial.test, log_sink(path, shown=shown), trial.reference,
-                         metadata=plan.metadata(trial, home, place), force=force, realtime=realtime)
+                         metadata=plan.metadata(trial, home, place), force=force, realtime=realtime,
+                         answer_ticks=plan.answer_ticks)
         runs[trial] = load_run(path)
         counts = result.counts
         say(f"{place}/{len(plan.trials)} {path.name}: {counts.samples} samples, {counts.lost} lost, "

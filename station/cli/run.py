@@ -11,7 +11,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from station.cli.options import Baud, Force, Json, Overwrite, Port, RigName, RunFile, command, need_folder, need_outputs
+from station.cli.options import (
+    AnswerTicks,
+    Baud,
+    Force,
+    Json,
+    Overwrite,
+    Port,
+    RigName,
+    RunFile,
+    command,
+    need_folder,
+    need_outputs,
+)
 from station.cli.terminal import as_json, note, number, progress, say, spoken
 from station.control.named import OPEN
 from station.errors import StationError, UsageError
@@ -78,7 +90,7 @@ def perform(line: SerialPort, rig: Rig, controller: dict[str, Any], test: dict[s
 
     ``reference`` (counts) where the test's dictionary does not make it.  The abort key is heard meanwhile.
     """
-    from station.cli import raise_interrupt
+    from station.cli import motor_driven
     from station.cli.keys import WORDS as KEYS
     from station.cli.keys import abort_key
     from station.control.compensators import Compensator
@@ -90,8 +102,7 @@ def perform(line: SerialPort, rig: Rig, controller: dict[str, Any], test: dict[s
         reference = reference_from_test(test, rig.sample_rate)
     abort = threading.Event()
     what = f"{test['kind']} on {line.url}"
-    raise_interrupt()
-    with abort_key(abort.set) as heard, progress(f"{what}; {KEYS}" if heard else what) as update:
+    with motor_driven(), abort_key(abort.set) as heard, progress(f"{what}; {KEYS}" if heard else what) as update:
         return run_test(line, rig, compensator, reference, log_sink=sink, abort=abort,
                         progress=lambda row, rows: update(row / rows), **{"metadata": {"test": test}, **settings})
 
@@ -173,7 +184,7 @@ def need_log(out: Path) -> None:
 def single(port: str, rig: str, out: Path, asked: dict[str, Any], reference: np.ndarray | None = None, *,
            controller: str | None, gain: float | None, zero: float | None, pole: float | None, overwrite: bool,
            view: bool, force: bool, realtime: bool, tags: list[str] | None, note_: str | None,
-           baud: int | None, json: str | None) -> None:
+           baud: int | None, answer_ticks: int, json: str | None) -> None:
     """Run one test from the command line and say how it went."""
     from station.cli.controllers import controller_spec
     from station.device.port import open_port
@@ -192,7 +203,7 @@ def single(port: str, rig: str, out: Path, asked: dict[str, Any], reference: np.
     with open_port(port, baud) as line:
         try:
             result = perform(line, model, spec, asked, sink, reference, metadata=metadata, force=force,
-                             realtime=realtime)
+                             realtime=realtime, answer_ticks=answer_ticks)
         except (KeyboardInterrupt, StationError):
             if out.exists() and (overwrite or not before):
                 note(f"the rows so far are in {out}")
@@ -207,11 +218,12 @@ def _command_for(kind: str) -> Callable[..., None]:
 
     def run(port: Port, rig: RigName, out: Log, controller: Controller = None, gain: Gain = None, zero: Zero = None,
             pole: Pole = None, overwrite: Overwrite = False, view: View = False, force: Force = False,
-            realtime: RealTime = False, tag: Tags = None, note: Note = None, baud: Baud = None, json: Json = None,
-            **test: Any) -> None:
+            realtime: RealTime = False, tag: Tags = None, note: Note = None, baud: Baud = None,
+            answer_ticks: AnswerTicks = 1, json: Json = None, **test: Any) -> None:
         asked = {"kind": kind, **{key: value for key, value in test.items() if value is not None}}
         single(port, rig, out, asked, controller=controller, gain=gain, zero=zero, pole=pole, overwrite=overwrite,
-               view=view, force=force, realtime=realtime, tags=tag, note_=note, baud=baud, json=json)
+               view=view, force=force, realtime=realtime, tags=tag, note_=note, baud=baud, answer_ticks=answer_ticks,
+               json=json)
 
     hints = {name: hint for name, hint in inspect.get_annotations(run, eval_str=True).items() if name != "test"}
     common = [parameter.replace(annotation=hints[parameter.name])
@@ -238,7 +250,8 @@ for _kind in KINDS:
 def recorded(
     run: RunFile, port: Port, rig: RigName, out: Log, controller: Controller = None, gain: Gain = None,
     zero: Zero = None, pole: Pole = None, overwrite: Overwrite = False, view: View = False, force: Force = False,
-    realtime: RealTime = False, tag: Tags = None, note: Note = None, baud: Baud = None, json: Json = None,
+    realtime: RealTime = False, tag: Tags = None, note: Note = None, baud: Baud = None,
+    answer_ticks: AnswerTicks = 1, json: Json = None,
 ) -> None:
     """The reference of a logged run once more; under --controller open its commands."""
     from station.loop.plan import recorded_reference
@@ -247,7 +260,8 @@ def recorded(
     need_log(out)
     reference, asked = recorded_reference(run, load_rig(rig).sample_rate, controller == "open")
     single(port, rig, out, asked, reference, controller=controller, gain=gain, zero=zero, pole=pole,
-           overwrite=overwrite, view=view, force=force, realtime=realtime, tags=tag, note_=note, baud=baud, json=json)
+           overwrite=overwrite, view=view, force=force, realtime=realtime, tags=tag, note_=note, baud=baud,
+           answer_ticks=answer_ticks, json=json)
 
 
 @group.callback(invoke_without_command=True)

@@ -35,7 +35,7 @@ _MOST_BYTES = 100_000
 _IDENTITY = MESSAGES["identity"].code
 _WORDS = {
     Result.WRONG_STATE: "it is {state}",
-    Result.WRONG_PROTOCOL: "its protocol is another",
+    Result.WRONG_PROTOCOL: "it was reset since it was identified, or its protocol is another; try again",
     Result.STALE: "the request is from an earlier connection",
     Result.NOT_CONFIGURED: "it is not configured since it was last identified",
     Result.OUT_OF_RANGE: "a value is beyond what its firmware allows",

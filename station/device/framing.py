@@ -28,8 +28,11 @@ def _tail(crc: int) -> bytes:
 
 _TAILS = tuple(map(_tail, range(1 << 16)))
 """A table: frames are encoded and decoded within every sample period."""
-_SIZES = tuple(MESSAGE_OF_CODE[code].body_size if code in MESSAGE_OF_CODE else 0 for code in range(256))
-_SCOPED = frozenset(code for code, message in MESSAGE_OF_CODE.items() if message.in_session)
+_SESSION_SIZES, _LINK_SIZES = (
+    tuple(MESSAGE_OF_CODE[code].body_size if code in MESSAGE_OF_CODE and MESSAGE_OF_CODE[code].in_session == in_session
+          else 0 for code in range(256)) for in_session in (True, False))
+"""Bytes of a body by its code: of scope "session", of scope "link"; 0: none."""
+_STUFFED = slice(None, -LIMITS["check_bytes"])
 
 
 def encode(body: bytes, session: int = 0) -> bytes:
@@ -45,11 +48,14 @@ def decode(frame: bytes, session: int = 0) -> bytes | None:
     have another length: its first two fields tell.
     """
     try:
-        if crc_hqx(frame, CRC_START ^ session if frame[1] in _SCOPED else CRC_START):
-            return None
-        body = _unstuff(frame[:-3])
-        if len(body) == _SIZES[body[0]] or (body[0] == _IDENTITY and len(body) >= _IDENTITY_PREFIX):
-            return body
+        if not crc_hqx(frame, CRC_START ^ session):  # first what nearly every frame of a session is
+            body = _unstuff(frame[_STUFFED])
+            if len(body) == _SESSION_SIZES[body[0]]:
+                return body
+        if not crc_hqx(frame, CRC_START):
+            body = _unstuff(frame[_STUFFED])
+            if len(body) == _LINK_SIZES[body[0]] or (body[0] == _IDENTITY and len(body) >= _IDENTITY_PREFIX):
+                return body
     except (cobs.DecodeError, IndexError):
         pass
     return None
@@ -63,7 +69,7 @@ def any_body(frame: bytes) -> bytes | None:
     if not frame or crc_hqx(frame, CRC_START):
         return None
     try:
-        return _unstuff(frame[:-3]) or None
+        return _unstuff(frame[_STUFFED]) or None
     except cobs.DecodeError:
         return None
 

@@ -11,7 +11,7 @@ from station.control.rounding import round_half_up
 from station.device.simulated import Options, SimulatedDevice
 from station.errors import UsageError
 from station.rig import builtin_rigs, load_rig
-from station.runs.replay import amplifier_limit
+from station.runs.replay import command_limit
 from station.runs.run import Run
 
 _INT16 = 0x7FFF
@@ -46,10 +46,10 @@ class RecordedSource:
 def _limit(run: Run) -> float:
     """The amplifier's limit of the run's own rig; where it holds none, the largest command of the log."""
     try:
-        return amplifier_limit(run)
+        return command_limit(run)
     except UsageError:
         if isinstance(run.metadata.rig, str) and run.metadata.rig in builtin_rigs():
-            return load_rig(run.metadata.rig).amplifier.limit
+            return load_rig(run.metadata.rig).command_limit
         return float(max(np.ceil(np.max(np.abs(run.command))), 1.0))
 
 

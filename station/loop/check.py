@@ -14,6 +14,7 @@ import numpy as np
 from station.control.references import pulse
 from station.device.client import Client, Identity
 from station.device.limits import DeviceLimits
+from station.device.line import MOST_ANSWER_TICKS, Line
 from station.device.port import Port
 from station.device.simulated import PlantSource
 from station.errors import UsageError
@@ -79,12 +80,13 @@ def check(port: Port, rig: Rig, amplitude: float = 20.0, progress: Callable[[int
         raise UsageError(f"amplitude: from 1 to the rig's limit of {rig.command_limit:g} counts, not {amplitude:g}")
     rate = rig.sample_rate
     client = Client(port)
-    identity = connect(client, rig)
-    rest = measure_rest(client, rig, identity)
+    identity = connect(client, rig, MOST_ANSWER_TICKS)
+    answer_ticks = Line.of(port, identity).least_answer_ticks(rate) or MOST_ANSWER_TICKS
+    rest = measure_rest(client, rig, identity, answer_ticks)
     commands = np.floor(pulse(rate, amplitude, 0.15, 1.6, 0.2, second=0.9) + 0.5)
-    ahead = [*commands[1:].astype(int).tolist(), 0]
+    ahead = [*commands[answer_ticks:].astype(int).tolist(), *[0] * answer_ticks]
     rows: list[tuple[int, int, int, int]] = []
-    setup = Setup(identity, rate, amplitude, limits=DeviceLimits.of_rig(rig))
+    setup = Setup(identity, rate, amplitude, answer_ticks, DeviceLimits.of_rig(rig))
     session = Session(client, setup, len(commands), lambda row, encoder, accel: ahead[row],
                       lambda row, clock, encoder, accel, command, *others: rows.append((row, encoder, accel, command)))
     with watched(session, None if progress is None else lambda row: progress(row, len(commands))):

@@ -26,6 +26,8 @@ VIRTUAL_SILENCE_SECONDS = 10.0
 """The same by this host's clock where the device's time is virtual: a busy machine may be slow, a dead line is not."""
 SWITCH_SECONDS = 1e-4
 """Python's thread switch interval in a session in real time (5 ms otherwise: longer than a period)."""
+CONFIRMED = "the motor is at zero, as the device confirms"
+UNCONFIRMED = "no stop was confirmed: the device's own watchdog takes the motor to zero, not this host"
 _SAMPLE, _COMMAND, _FAULT = MESSAGES["sample"], MESSAGES["command"], MESSAGES["fault"]
 _MASK16 = 0xFFFF
 _ADVICE = {
@@ -124,6 +126,14 @@ class Setup:
         client.arm()
 
 
+def _told(failure: WorkError | KeyboardInterrupt, confirmed: bool) -> WorkError | KeyboardInterrupt:
+    """A session's failure with what became of its motor."""
+    if isinstance(failure, WorkError):
+        words = CONFIRMED if confirmed else UNCONFIRMED
+        return WorkError(f"{failure}; {words}")
+    return failure if confirmed else KeyboardInterrupt(UNCONFIRMED)
+
+
 class Session:
     """A session on a device that was identified and is idle.  ``counts`` is filled in also where ``run`` raises.
 
@@ -146,17 +156,22 @@ class Session:
         """Arm, start, and run to the last row.  WorkError: the line was lost, the device went silent or into fault.
 
         Whatever ends it (the last row, an exception, Ctrl-C, a lost line), from before the device is armed on, the
-        command 0 and a stop are sent; where they cannot be, the device's watchdog does the same.
+        command 0 and a stop are sent; where they cannot be, the device's watchdog does the same.  What is raised says
+        which of the two it was.
         """
         client = self.client
         corrupt = client.decoder.corrupt
-        confirmed = False
+        confirmed = started = False
+        failure: WorkError | KeyboardInterrupt | None = None
         try:
             self._setup.arm(client)
             with _undisturbed(client.paced):
                 corrupt = client.decoder.corrupt
+                started = True
                 client.start()
                 self._loop()
+        except (WorkError, KeyboardInterrupt) as error:
+            failure = error
         finally:
             try:
                 confirmed = client.halt(self._unanswered)
@@ -165,6 +180,8 @@ class Session:
                 self._count_left()
             if confirmed:
                 self._ask_counters()
+        if failure is not None:
+            raise _told(failure, confirmed) if started else failure
         return self.counts
 
     def _loop(self) -> None:
@@ -221,9 +238,11 @@ class Session:
                 written = now()
                 self._unanswered = None
                 record(row, clock, encoder, accel, command, status, answer, received, written)
-            if empty >= SILENCE_SECONDS or received - heard > patience:
+            gone = received - heard
+            # In virtual time, reads that wait are this machine's: a device in another process may be starved by it.
+            if (empty >= SILENCE_SECONDS and (client.paced or gone < 0.5 * empty)) or gone > patience:
                 raise WorkError(f"{client.port.url}: {'no sample came' if data else 'the device fell silent'} after "
-                                f"row {row}; check cable and power (its watchdog takes the motor to zero)")
+                                f"row {row}; check cable and power")
             data = read(max(wire_size - decoder.pending, 1))
             received = now()
             if not data:
@@ -244,7 +263,7 @@ class Session:
         if body[0] == _FAULT.code:
             message = _FAULT.unpack(body)
             raise WorkError(f"{self.client.port.url}: the device went {state_words(State.FAULT, message.fault)} at "
-                            f"row {row}, its motor is at zero; {_ADVICE.get(message.fault, 'see its cause')}")
+                            f"row {row}; {_ADVICE.get(message.fault, 'see its cause')}")
 
     def _count_left(self) -> None:
         """Samples that came again and were still unread when the session ended."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from station.device.client import Client, Identity
+from station.device.line import Line
 from station.device.port import Port
 from station.device.protocol import Status
 from station.errors import UsageError, WorkError
@@ -47,8 +48,9 @@ class LoopbackResult:
     verdict: tuple[str, ...]
 
 
-def loopback(port: Port, rate: float | None = None, seconds: float = 2.0) -> LoopbackResult:
-    """Exchange samples and commands for some seconds of device time; ``rate`` is the device's highest by default.
+def loopback(port: Port, rate: float | None = None, seconds: float = 2.0, answer_ticks: int = 1) -> LoopbackResult:
+    """Exchange samples and commands for some seconds of device time; ``rate`` is by default the highest that device
+    and line offer under ``answer_ticks``.
 
     WorkError where no device answers or the line breaks; a device that goes into fault because answers come too
     late is a verdict, not an error.
@@ -58,10 +60,13 @@ def loopback(port: Port, rate: float | None = None, seconds: float = 2.0) -> Loo
         identity = identify_clear(client)
     except WorkError as error:
         raise explained(port, error) from None
-    rate = identity.rate_max if rate is None else rate
+    line = Line.of(port, identity)
+    if rate is None:
+        rate = max(min(identity.rate_max, line.highest_rate(answer_ticks)), identity.rate_min)
     if not identity.rate_min - 1e-3 <= rate <= identity.rate_max + 1e-3:
         raise UsageError(f"{port.url}: the device runs at {identity.rate_min:g} to {identity.rate_max:g} Hz, "
                          f"not at {rate:g}")
+    line.require(port.url, rate, answer_ticks)
     rows: list[tuple[int, float, int, float, float]] = []
     clock = DeviceClock(identity.clock_hz)
 
@@ -69,7 +74,7 @@ def loopback(port: Port, rate: float | None = None, seconds: float = 2.0) -> Loo
                received: float, written: float) -> None:
         rows.append((row, clock.seconds(ticks), status, received, written))
 
-    session = Session(client, Setup(identity, rate, limit=0.0), max(round(seconds * rate), 2),
+    session = Session(client, Setup(identity, rate, 0.0, answer_ticks), max(round(seconds * rate), 2),
                       lambda row, encoder, accel: 0, record)
     fault = None
     try:

@@ -6,6 +6,7 @@
     order = "random"             # or "written"
     seed = 7                     # of the random order
     settle = 2.0                 # s to wait before each test
+    answer_ticks = 1             # ticks from a sample to its command, as the line needs them (1 to 4)
     rest_within = 256            # counts from where the first test began; beyond it the plan stops
     tags = ["friction"]
 
@@ -39,6 +40,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from station.control.compensators import Compensator
 from station.control.references import LEAST_REST, reference_from_test
+from station.device.line import MOST_ANSWER_TICKS
 from station.errors import UsageError, WorkError
 from station.loop.safety import require_rest, require_within_limits
 from station.rig import Limits, Rig
@@ -74,6 +76,7 @@ class _Plan(BaseModel):
     order: Literal["written", "random"] = "written"
     seed: int = 0
     settle: Annotated[float, Field(ge=0.0, le=3600.0, allow_inf_nan=False)] = 0.0
+    answer_ticks: Annotated[int, Field(ge=1, le=MOST_ANSWER_TICKS)] = 1
     rest_within: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] | None = None
     tags: tuple[str, ...] = ()
     limits: Limits | None = None
@@ -111,6 +114,7 @@ class Plan:
     order: str
     settle: float
     rest_within: float
+    answer_ticks: int
     rig: Rig
     trials: tuple[Trial, ...]
 
@@ -195,8 +199,8 @@ def load_plan(path: str | Path, rig: Rig, controller_of: ControllerOf) -> Plan:
     if parsed.order == "random":
         random.Random(parsed.seed).shuffle(trials)
     half_a_turn = 0.5 * rig.encoder.counts_per_revolution
-    return Plan(parsed.name, text, parsed.seed, parsed.order, parsed.settle, parsed.rest_within or half_a_turn, limited,
-                tuple(trials))
+    return Plan(parsed.name, text, parsed.seed, parsed.order, parsed.settle, parsed.rest_within or half_a_turn,
+                parsed.answer_ticks, limited, tuple(trials))
 
 
 def tightened(rig: Rig, limits: Limits) -> Limits:

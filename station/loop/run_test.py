@@ -8,6 +8,7 @@ its limited output; what is sent is rounded half up.
 
 from __future__ import annotations
 
+import copy
 import math
 import platform
 import threading
@@ -22,6 +23,7 @@ import numpy as np
 from station.control.compensators import Compensator
 from station.device.client import Client, Identity
 from station.device.limits import DeviceLimits
+from station.device.line import MOST_ANSWER_TICKS, Line
 from station.device.port import Port
 from station.device.protocol import State
 from station.errors import UsageError
@@ -100,30 +102,32 @@ def identify_clear(client: Client) -> Identity:
     return identity
 
 
-def connect(client: Client, rig: Rig) -> Identity:
-    """Identify the device, clear an old fault, and see that it can run this rig's tests."""
+def connect(client: Client, rig: Rig, answer_ticks: int) -> Identity:
+    """Identify the device, clear an old fault, and see that it and its line can run this rig's tests."""
     identity = identify_clear(client)
     if not identity.rate_min - 1e-3 <= rig.sample_rate <= identity.rate_max + 1e-3:
         raise UsageError(f"{client.port.url}: the device runs at {identity.rate_min:g} to {identity.rate_max:g} Hz, "
                          f"rig {rig.name} at sample_rate = {rig.sample_rate:g}")
+    Line.of(client.port, identity).require(client.port.url, rig.sample_rate, answer_ticks)
     return identity
 
 
 def rest_position(port: Port, rig: Rig, settle: float = 0.0) -> tuple[str, int]:
     """Let ``settle`` seconds pass and the arm come to rest; the encoder's zero by name, and its reading (counts)."""
     client = Client(port)
-    identity = connect(client, rig)
+    identity = connect(client, rig, MOST_ANSWER_TICKS)
     if settle:
         client.wait(settle)
     return identity.zero_id, client.wait_for_rest(SETTLE_SECONDS)
 
 
-def measure_rest(client: Client, rig: Rig, identity: Identity, seconds: float = REST_SECONDS) -> Rest:
+def measure_rest(client: Client, rig: Rig, identity: Identity, answer_ticks: int = 1,
+                 seconds: float = REST_SECONDS) -> Rest:
     """Wait for rest, then read the sensors with a motor that the device's own limit keeps at zero."""
     client.wait_for_rest(SETTLE_SECONDS)
     readings: list[int] = []
     rows = max(2, round(seconds * rig.sample_rate))
-    setup = Setup(identity, rig.sample_rate, 0.0, limits=DeviceLimits.of_rig(rig))
+    setup = Setup(identity, rig.sample_rate, 0.0, answer_ticks, DeviceLimits.of_rig(rig))
     Session(client, setup, rows, lambda row, encoder, accel: 0,
             lambda row, clock, encoder, accel, *rest: readings.append(accel)).run()
     accel = np.array(readings, dtype=float)
@@ -149,9 +153,10 @@ def run_test(port: Port, rig: Rig, compensator: Compensator, reference: np.ndarr
     ``realtime`` asks the system for a thread that is not disturbed (``station.loop.realtime``); what was got stands
     in the metadata.  ``force`` runs a closed loop without a passed check of this device and rig, and is logged.
 
-    Raises WorkError (line lost, device silent, in fault, refusing) and UsageError (the rig does not fit the
-    device, no passed check, a reference that does not begin at rest).  However it ends, Ctrl-C included, the motor is
-    commanded to zero, a stop is sent and the log is closed; the metadata's ``outcome`` says why it ended.
+    Raises WorkError (line lost, device silent, in fault, refusing) and UsageError (the rig does not fit the device, its
+    rate not the line under ``answer_ticks``, no passed check, a reference that does not begin at rest).  However it
+    ends, Ctrl-C included, the motor is commanded to zero, a stop is sent and the log is closed; the metadata's
+    ``outcome`` says why it ended.
     """
     reference = np.asarray(reference, dtype=float)
     if reference.ndim != 1 or len(reference) < 2 or not np.all(np.isfinite(reference)):
@@ -159,20 +164,22 @@ def run_test(port: Port, rig: Rig, compensator: Compensator, reference: np.ndarr
     require_rest(reference, rig.sample_rate, compensator.open_loop)
     require_within_limits(rig, reference, compensator.open_loop)
     client = Client(port)
-    identity = connect(client, rig)
+    identity = connect(client, rig, answer_ticks)
     check = None if compensator.open_loop else checked.require(port.url, identity, rig, force)
     if accel_zero is None or relative:
-        rest = measure_rest(client, rig, identity)
+        rest = measure_rest(client, rig, identity, answer_ticks)
     else:
         rest = Rest(accel_zero, 0.0, client.wait_for_rest(SETTLE_SECONDS))
     if accel_zero is None:
         accel_zero = rest.accel_zero
     if relative and not compensator.open_loop:
         reference = reference + rest.encoder
+    limit = math.floor(min(rig.command_limit, compensator.limit, identity.command_limit))
+    compensator = copy.copy(compensator)
+    compensator.limit = limit  # it works on with what acts, not with what the device would cut
     require_small_first_command(port.url, rig.sample_rate, compensator, reference[0], rest.encoder, accel_zero)
     compensator.reset(accel_zero)
     clock = HostClock()
-    limit = min(rig.command_limit, compensator.limit)
     known = metadata.entries() if isinstance(metadata, RunMetadata) else dict(metadata or {})
     completed = RunMetadata.model_validate({
         "rig": rig.model_dump(exclude_none=True), "controller": compensator.spec,

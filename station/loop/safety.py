@@ -85,7 +85,7 @@ class Guard:
         self._still += 1
         if self._still >= self._patience:
             raise WorkError(f"{self._url}: the motor was driven at {abs(command):.0f} counts for {STALL_SECONDS:g} s "
-                            f"and the encoder stood still; stopped at row {row}, the motor is at zero; see what holds "
+                            f"and the encoder stood still; stopped at row {row}; see what holds "
                             "the arm, the motor's power, and the encoder's cable")
 
     def see(self, row: int, encoder: int) -> None:
@@ -94,11 +94,11 @@ class Guard:
         self._last.append(encoder)
         if self._limits.travel and travel > self._limits.travel:
             raise WorkError(f"{self._url}: the arm went {travel} counts from where it began, the limit is "
-                            f"{self._limits.travel}; stopped at row {row}, the motor is at zero; bring the arm back, "
+                            f"{self._limits.travel}; stopped at row {row}; bring the arm back, "
                             "then ask for less")
         if self._limits.speed and speed > self._limits.speed:
             raise WorkError(f"{self._url}: the encoder moved {speed} counts in {SPEED_TICKS} ticks, the limit is "
-                            f"{self._limits.speed}; stopped at row {row}, the motor is at zero; ask for less, and see "
+                            f"{self._limits.speed}; stopped at row {row}; ask for less, and see "
                             "that the encoder counts well")
 
 

@@ -31,6 +31,7 @@ from numba import njit
 from station.control.compensators import Compensator, commanded
 from station.model.assembly import Assembly, assemble
 from station.model.beam import element_stiffness
+from station.model.simulate import limit_of
 from station.rig import Rig
 from station.runs.run import Run
 
@@ -187,7 +188,7 @@ def run_chain(rig: Rig, run: Run, lumps: int, steps_per_sample: int = 1, roundin
     """
     chain = DiscreteChain(rig, lumps, rig.period / steps_per_sample)
     spec = {"kind": "open"} if commanded(run.metadata.controller) else run.metadata.controller
-    compensator = Compensator.from_spec(spec, rig.sample_rate, rig.amplifier.limit)
+    compensator = Compensator.from_spec(spec, rig.sample_rate, limit_of(rig, run.metadata))
     delay = -run.metadata.command_row
     rows = len(run.t)
     command, encoder, accel = np.zeros(rows), np.zeros(rows), np.zeros(rows)

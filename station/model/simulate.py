@@ -18,7 +18,7 @@ from station.model.compiled import address
 from station.model.effects import Effect, Stage
 from station.model.modal import ModalForm, apply, modal_form
 from station.rig import Rig
-from station.runs.run import Run
+from station.runs.run import Run, RunMetadata
 
 SUBSTEP = 5e-4
 """Longest step, s, where anything acts between ticks."""
@@ -305,9 +305,17 @@ def _balance(model: Model, state: stepper.State, q: np.ndarray) -> None:
         state.z[:] = model.form.inverse @ np.concatenate([q, np.zeros(parts.size)])
 
 
-def controller_arrays(spec: dict, rig: Rig, accel_zero: float = 0.0) -> stepper.Controller:
-    """A run's controller as the stepper takes it; an unknown one is none: the commands are taken as logged."""
-    return _controller_arrays(json.dumps(spec), rig.sample_rate, rig.amplifier.limit, accel_zero)
+def limit_of(rig: Rig, metadata: RunMetadata) -> float:
+    """What cuts a loop's command (counts) in a run's test on a rig: the rig's limit, or the run's own if less."""
+    return min(rig.command_limit, metadata.command_limit or rig.command_limit)
+
+
+def controller_arrays(spec: dict, rig: Rig, accel_zero: float = 0.0, limit: float | None = None) -> stepper.Controller:
+    """A run's controller as the stepper takes it; an unknown one is none: the commands are taken as logged.
+
+    ``limit`` (counts) of its commands is the rig's by default.
+    """
+    return _controller_arrays(json.dumps(spec), rig.sample_rate, limit or rig.command_limit, accel_zero)
 
 
 @functools.lru_cache(maxsize=64)
@@ -320,7 +328,7 @@ def _controller_arrays(text: str, sample_rate: float, limit: float, accel_zero: 
     num, den = np.zeros(order), np.zeros(order)
     num[: comp.numerator.size], den[: comp.denominator.size] = comp.numerator, comp.denominator
     return stepper.Controller(comp.open_loop, num, den, comp.accel_numerator, comp.accel_denominator,
-                              float(spec.get("accel_zero", accel_zero)), comp.feedback)
+                              float(spec.get("accel_zero", accel_zero)), comp.feedback, limit)
 
 
 def simulate_model(model: Model, run: Run, *, rounding: bool | Literal["inside"] = True, start_angle: float = 0.0,
@@ -334,7 +342,7 @@ def simulate_model(model: Model, run: Run, *, rounding: bool | Literal["inside"]
     inside = stepper.INSIDE if rounding == "inside" else (stepper.ALL if rounding else stepper.NONE)
     meta, rig = run.metadata, model.rig
     state = initial_state(model, start_angle, zero, equilibrium=meta.start == "equilibrium", gap_place=gap_place)
-    controller = controller_arrays(meta.controller, rig, meta.accel_zero)
+    controller = controller_arrays(meta.controller, rig, meta.accel_zero, limit_of(rig, meta))
     if rig.accelerometer is None and controller.accel_numerator.any():
         raise WorkError(f"{run.name}: its controller reads an accelerometer, and rig {rig.name} has none")
     rows = len(run.t)

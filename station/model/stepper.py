@@ -130,6 +130,8 @@ class Controller(NamedTuple):
     accel_zero: float
     feedback: np.ndarray
     """Coefficients of the encoder's present and past readings, taken off the command."""
+    limit: float
+    """What cuts its commands, counts."""
 
 
 @kernel(fastmath={"contract"})
@@ -511,7 +513,7 @@ def ticks(plan, state, controller, reference, command, closed, command_row, offs
                 for k in range(feedback.size - 1, -1, -1):
                     y[k] = y[k - 1] if k > 0 and source > 0 else seen_encoder[source]
                     out -= feedback[k] * y[k]
-                out = min(max(out, -plan.limit), plan.limit)
+                out = min(max(out, -controller.limit), controller.limit)
                 v[0] = out
                 if round_command:
                     out = math.floor(out + 0.5)

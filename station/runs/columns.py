@@ -65,8 +65,17 @@ def name_fault(names: Iterable[str]) -> str | None:
     return None
 
 
-def as_columns(columns: Mapping[str, object]) -> tuple[dict[str, np.ndarray], str | None]:
-    """Columns as float64 arrays (integer columns: int64); the second value says what is wrong, or None."""
+def place(row: int, first_line: int | None = None) -> str:
+    """Where a row is, for people: rows count from 0 as ticks do, the lines of a file of text from 1."""
+    return f"row {row}" if first_line is None else f"line {first_line + row}"
+
+
+def as_columns(columns: Mapping[str, object], first_line: int | None = None,
+               ) -> tuple[dict[str, np.ndarray], str | None]:
+    """Columns as float64 arrays (integer columns: int64); the second value says what is wrong, or None.
+
+    ``first_line``: that of row 0, where the columns come from lines of text.
+    """
     fault = name_fault(columns)
     if fault:
         return {}, fault
@@ -93,22 +102,22 @@ def as_columns(columns: Mapping[str, object]) -> tuple[dict[str, np.ndarray], st
         bad = np.isinf(array) if column is not None and column.gaps else ~np.isfinite(array)
         if bad.any():
             row = int(np.argmax(bad))
-            return {}, f"column {name}, row {row}: {array[row]} where a finite number is wanted"
+            return {}, f"column {name}, {place(row, first_line)}: {array[row]} where a finite number is wanted"
         if column is not None and column.integer and array.dtype.kind == "f":
             bad = (array != np.floor(array)) | (np.abs(array) > 2.0**53)
             if bad.any():
                 row = int(np.argmax(bad))
-                return {}, f"column {name}, row {row}: {array[row]} where a whole number is wanted"
+                return {}, f"column {name}, {place(row, first_line)}: {array[row]} where a whole number is wanted"
             arrays[name] = array.astype(np.int64)
-    return arrays, time_fault(arrays["t"], arrays.get("n"))
+    return arrays, time_fault(arrays["t"], arrays.get("n"), first_line)
 
 
-def time_fault(t: np.ndarray, n: np.ndarray | None) -> str | None:
+def time_fault(t: np.ndarray, n: np.ndarray | None, first_line: int | None = None) -> str | None:
     """Say where t is not index / sample_rate, or None.  The index is n where there is one: ticks may be lost."""
     index = np.arange(len(t)) if n is None else n
     steps = np.diff(index)
     if np.any(steps <= 0):
-        return f"column n, row {int(np.argmax(steps <= 0)) + 1}: the index does not rise"
+        return f"column n, {place(int(np.argmax(steps <= 0)) + 1, first_line)}: the index does not rise"
     index = index - index[0]
     period = (t[-1] - t[0]) / index[-1]
     if period <= 0.0:
@@ -116,6 +125,6 @@ def time_fault(t: np.ndarray, n: np.ndarray | None) -> str | None:
     if np.any(np.abs(t - t[0] - index * period) > 0.02 * period):
         pace = np.diff(t) / steps
         row = int(np.argmax(np.abs(pace - np.median(pace)))) + 1
-        return f"column t, row {row}: irregular time ({t[row]:.9g} s after {t[row - 1]:.9g} s); " \
+        return f"column t, {place(row, first_line)}: irregular time ({t[row]:.9g} s after {t[row - 1]:.9g} s); " \
                "t must be index / sample_rate"
     return None

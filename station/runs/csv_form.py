@@ -31,11 +31,8 @@ def read_csv(path: str | os.PathLike[str]) -> Run:
             raise WorkError(f"{path}: line {number}: the key {key} stands twice")
         entries[key] = parse_json(f"{path}: line {number}: {key}", text)
     metadata = RunMetadata.from_entries(str(path), entries)
-    for name in table.names:
-        if table.names.count(name) > 1:
-            raise WorkError(f"{path}: the column {name!r} stands twice")
     columns = dict(zip(table.names, table.values.T, strict=True))
-    return Run.from_columns(str(path), path.stem, columns, metadata)
+    return Run.from_columns(str(path), path.stem, columns, metadata, table.first_line)
 
 
 def write_csv(run: Run, path: str | os.PathLike[str], overwrite: bool = False) -> None:

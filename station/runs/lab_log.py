@@ -47,12 +47,12 @@ def read_lab_log(path: str | os.PathLike[str]) -> Run:
     path = Path(path)
     table = read_table(path, "\t", names_in_header=True)
     unknown = [name for name in table.names if name not in NAMES]
-    if unknown or len(set(table.names)) != len(table.names):
+    if unknown:
         raise WorkError(f"{path}: the column names {' '.join(table.names)[:80]!r} are not those of a laboratory "
                         f"log ({' '.join(NAMES)})")
     columns = {NAMES[name]: values for name, values in zip(table.names, table.values.T, strict=True)}
     header = [line for _, line in table.comments[:-1]]
-    run = Run.from_columns(str(path), path.stem, columns, RunMetadata())
+    run = Run.from_columns(str(path), path.stem, columns, RunMetadata(), table.first_line)
     controller = _controller(path, header, run)
     resting = bool(np.all(run.encoder[:REST_ROWS] == run.encoder[0]))
     metadata = RunMetadata(  # type: ignore[call-arg]  # other keys are kept

@@ -10,10 +10,10 @@ from __future__ import annotations
 import contextlib
 import os
 import threading
-import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from time import monotonic
 from types import TracebackType
 
 import numpy as np
@@ -37,8 +37,12 @@ from station.runs.schema import (
 
 FLUSH_SECONDS = 0.025
 """Half of the 50 ms that a killed host may lose: a busy machine wakes the thread late."""
+DUE_SECONDS = 0.02
+"""From then on the next row wakes the thread: a row comes when its sample has been answered, and until the next sample
+the thread has the interpreter to itself.  Where it wakes by itself it may hold up an answer."""
 SYNC_SECONDS = 1.0
 CAPACITY = 65536
+_NEVER = float("inf")
 BLOCK_ROWS = 4096
 """Most rows of one chunk."""
 
@@ -165,6 +169,7 @@ class McapLogWriter:
         self._changed: RunMetadata | None = None
         self._failure: Exception | None = None
         self._taken = 0  # rows that have left the queue
+        self._due = 0.0  # when the next row is to wake the thread
         self._closing = False
         self._wake, self._drained = threading.Event(), threading.Event()
         try:
@@ -187,6 +192,9 @@ class McapLogWriter:
         if self._closing:
             raise WorkError(f"{self.path}: the log is closed")
         self._queue.append(row)
+        if monotonic() >= self._due:
+            self._due = _NEVER
+            self._wake.set()
         if len(self._queue) >= self._capacity:
             self._full()
         if self._failure is not None:
@@ -213,17 +221,18 @@ class McapLogWriter:
 
     def _work(self) -> None:
         try:
-            synced = time.monotonic()
+            synced = monotonic()
             while True:
                 closing = self._closing
                 self._wake.wait(0.0 if closing else FLUSH_SECONDS)
                 self._wake.clear()
+                self._due = monotonic() + DUE_SECONDS
                 self._drain()
                 if closing:
                     return
-                if time.monotonic() - synced >= SYNC_SECONDS:
+                if monotonic() - synced >= SYNC_SECONDS:
                     self._file.sync()
-                    synced = time.monotonic()
+                    synced = monotonic()
         except Exception as error:  # whatever it was, the thread that appends must hear of it
             self._failure = error
             self._drained.set()

@@ -41,18 +41,18 @@ class ReplayResult:
         return self.first_row is None
 
 
-def amplifier_limit(run: Run) -> float:
+def command_limit(run: Run) -> float:
     """The command limit (counts) under which the run was made, else that of the rig that its metadata describe.
 
     UsageError where they only name the rig.
     """
-    rig = run.metadata.rig
+    rig: Any = run.metadata.rig
+    if run.metadata.command_limit is not None:
+        return run.metadata.command_limit
     try:
-        own = run.metadata.entries().get("command_limit")
-        if own is not None:
-            return float(own)
-        return float(rig["amplifier"]["limit"])  # type: ignore[index]
-    except (TypeError, KeyError, ValueError):
+        limit = float(rig["amplifier"]["limit"])
+        return min(limit, float((rig.get("limits") or {}).get("command") or limit))
+    except (TypeError, KeyError, ValueError, AttributeError):
         raise UsageError(f"{run.name}: the run does not hold its rig's amplifier.limit; name the rig") from None
 
 
@@ -74,7 +74,7 @@ def replay_commands(run: Run, limit: float | None = None, *, shaped: bool = Fals
             raise WorkError(f"{run.name}: the log has no column {SHAPED}")
         reference = run.extra[SHAPED]
         spec = {"kind": "lead", **{key: spec[key] for key in _AFTER_ACCEL_LOOP if key in spec}}
-    compensator = Compensator.from_spec(spec, run.sample_rate, amplifier_limit(run) if limit is None else limit)
+    compensator = Compensator.from_spec(spec, run.sample_rate, command_limit(run) if limit is None else limit)
     compensator.reset(float(spec.get("accel_zero", run.metadata.accel_zero)))
     accel = run.accel
     if accel is None:
@@ -92,7 +92,7 @@ def replay_commands(run: Run, limit: float | None = None, *, shaped: bool = Fals
 def compare_replay(run: Run, limit: float | None = None, *, shaped: bool = False,
                    tolerance: float = 1e-3) -> ReplayResult:
     """Replay a run and say where, and why, its logged commands are not the compensator's."""
-    limit = amplifier_limit(run) if limit is None else limit
+    limit = command_limit(run) if limit is None else limit
     commands = replay_commands(run, limit, shaped=shaped)
     difference = np.abs(commands - run.command)
     beyond = np.flatnonzero(difference > tolerance)

@@ -27,7 +27,8 @@ class RunMetadata(BaseModel):
 
     A log that names no ``controller`` has an unknown one: its commands are known, not what worked them out.
     ``rounding`` is False where the logged command was not rounded; ``accel_zero`` (counts) is the
-    accelerometer's mean at rest that the compensator took off.
+    accelerometer's mean at rest that the compensator took off; ``command_limit`` (counts) is what cut the commands,
+    where the log says it: the rig's, or less.
     """
 
     model_config = ConfigDict(extra="allow")
@@ -43,6 +44,7 @@ class RunMetadata(BaseModel):
     command_row: int = Field(default=0, ge=-8, le=0)
     rounding: bool = True
     accel_zero: float = Field(default=0.0, allow_inf_nan=False)
+    command_limit: float | None = Field(default=None, gt=0.0, allow_inf_nan=False)
 
     def entries(self) -> dict[str, Any]:
         """The keys that say something: those declared and not None, then the unknown ones kept."""
@@ -140,9 +142,13 @@ class Run:
         object.__setattr__(self, "extra", arrays)
 
     @classmethod
-    def from_columns(cls, label: str, name: str, columns: Mapping[str, Any], metadata: RunMetadata) -> Run:
-        """Build from a file's columns; ``label`` (the path) stands before what a WorkError says."""
-        arrays, fault = as_columns(columns)
+    def from_columns(cls, label: str, name: str, columns: Mapping[str, Any], metadata: RunMetadata,
+                     first_line: int | None = None) -> Run:
+        """Build from a file's columns; ``label`` (the path) stands before what a WorkError says.
+
+        ``first_line``: the line of row 0, of a file of text, in which people look for lines.
+        """
+        arrays, fault = as_columns(columns, first_line)
         if fault:
             raise WorkError(f"{label}: {fault}")
         known = {column.name: arrays.pop(column.name) for column in COLUMNS if column.name in arrays}

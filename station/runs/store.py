@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from station.errors import UsageError, WorkError
+from station.runs.columns import place
 from station.runs.csv_form import read_csv, write_csv
 from station.runs.files import check_input, check_output, reason
 from station.runs.lab_log import read_lab_log
@@ -20,6 +21,7 @@ from station.runs.mcap_log import write_mcap
 from station.runs.mcap_read import read_mcap, scan_mcap
 from station.runs.notes import notes_of, tags_of
 from station.runs.run import Run, RunMetadata
+from station.runs.table import first_line
 
 _SNIFF_BYTES = 65536
 
@@ -119,12 +121,19 @@ def import_run(source: str | os.PathLike[str], out: str | os.PathLike[str], *, o
     far = np.abs(run.encoder) > MOST_COUNTS
     if far.any():
         row = int(np.argmax(far))
-        raise WorkError(f"{source}: column encoder, row {row}: {run.encoder[row]:g} counts; no arm turns so far")
+        raise WorkError(f"{source}: column encoder, {_place(Path(source), row)}: {run.encoder[row]:g} counts; no arm "
+                        "turns so far")
     entries = run.metadata.entries() | {key: value for key, value in known.items() if value is not None}
     imported = Run.from_columns(str(source), Path(out).stem, run.columns(),
                                 RunMetadata.from_entries(str(source), entries))
     export_run(imported, out, overwrite)
     return imported
+
+
+def _place(path: Path, row: int) -> str:
+    """Where a row stands in its file, for people."""
+    form = _form(path)
+    return place(row, first_line(path, names_in_header=form == ".txt") if form in (".csv", ".txt") else None)
 
 
 def trim(path: str | os.PathLike[str], out: str | os.PathLike[str], begin: float | None = None,

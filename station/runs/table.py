@@ -20,11 +20,13 @@ MAX_LINE = 8192
 
 @dataclass(frozen=True)
 class Table:
-    """Header lines without their #, with line numbers; the column names; values, rows by columns."""
+    """Header lines without their #, with line numbers; the column names; values, rows by columns; the line of the
+    first row, counted from 1 as editors do."""
 
     comments: list[tuple[int, str]]
     names: list[str]
     values: np.ndarray
+    first_line: int
 
 
 def read_table(path: Path, delimiter: str, names_in_header: bool) -> Table:
@@ -39,14 +41,17 @@ def read_table(path: Path, delimiter: str, names_in_header: bool) -> Table:
             comments, names_line, number = _header(path, file)
             names = (comments[-1][1] if names_in_header and comments else names_line or "").split(delimiter)
             names = [name.strip() for name in names]
-            if delimiter == "," and len(names) == 1 and ";" in names[0]:
-                raise WorkError(f"{path}: columns stand between semicolons; a comma is wanted between columns and a "
+            if delimiter == "," and len(names) == 1 and (found := _other_delimiter(names[0])):
+                raise WorkError(f"{path}: columns stand between {found}; a comma is wanted between columns and a "
                                 "point in numbers (a spreadsheet exports such a CSV under an English locale)")
+            repeated = next((name for name in names if names.count(name) > 1), None)
+            if repeated is not None:
+                raise WorkError(f"{path}: the column {repeated[:40]!r} stands twice")
             first = [names_line] if names_in_header and names_line is not None else []
             lines = _rows(path, file, first, number)
             row = next(lines, None)
             if row is None:
-                return Table(comments, names, np.zeros((0, len(names))))
+                return Table(comments, names, np.zeros((0, len(names))), number + 1)
             try:
                 values = np.loadtxt(chain([row], lines), delimiter=delimiter, comments=None, ndmin=2, dtype=np.float64)
             except ValueError:
@@ -55,7 +60,19 @@ def read_table(path: Path, delimiter: str, names_in_header: bool) -> Table:
         raise WorkError(f"{path}: not UTF-8 text") from None
     if values.shape[1] != len(names):
         raise _bad_row(path, delimiter, len(names), names_in_header)
-    return Table(comments, names, values)
+    return Table(comments, names, values, number if names_in_header else number + 1)
+
+
+def first_line(path: Path, names_in_header: bool) -> int:
+    """The line, counted from 1, of the first row of a table that ``read_table`` reads."""
+    with path.open(encoding="utf-8-sig", newline=None) as file:
+        number = _header(path, file)[2]
+    return number if names_in_header else number + 1
+
+
+def _other_delimiter(names: str) -> str | None:
+    """What stands between the column names where it is no comma, for people."""
+    return next((words for mark, words in ((";", "semicolons"), ("\t", "tabs")) if mark in names), None)
 
 
 def _header(path: Path, file: TextIO) -> tuple[list[tuple[int, str]], str | None, int]:

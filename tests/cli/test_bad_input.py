@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -69,13 +70,37 @@ RUN_FAULTS = {
 @pytest.mark.parametrize(("text", "words"), [
     ("t;reference;command;encoder\n0,0;0;0;0\n0,002;0;0;0\n", "between semicolons"),
     ("t,reference,command,encoder,encoder\n0,0,0,0,0\n0.002,0,0,0,0\n", "the column 'encoder' stands twice"),
-    (_csv(["0.0,0,0,0,0", "0.002,0,0,1e9,0"]), "encoder, row 1: 1e+09 counts")])
+    ("t\treference\tcommand\tencoder\n0\t0\t0\t0\n", "between tabs"),
+    ("# kp=1.0\n# t\tn\tu\tv\tu\n0\t0\t0\t0\t0\n", "the column 'u' stands twice"),
+    (_csv(["0.0,0,0,0,0", "0.002,0,0,1e9,0"]), "encoder, line 3: 1e+09 counts")])
 def test_what_is_wrong_with_a_table_is_named(station, tmp_path, text, words):
     log, out = tmp_path / "bad.csv", tmp_path / "out.mcap"
     log.write_text(text)
     ended = station("import", log, "--out", out)
     assert ended.status == 1 and words in ended.one_line() and "bad.csv" in ended.one_line()
     assert not out.exists()
+
+
+LINES = {
+    "not a number": ("0.002,0,0,left,0", "line 5: 'left' is not a number"),
+    "short": ("0.002,0,0", "line 5: 3 fields where 5 are named"),
+    "empty": ("", "line 5 is empty"),
+    "a NaN": ("0.002,0,0,nan,0", "column encoder, line 5: nan"),
+    "irregular": ("0.0029,0,0,0,0", "column t, line 5: irregular time"),
+    "an encoder that no arm turns": ("0.002,0,0,1e9,0", "column encoder, line 5: 1e+09 counts"),
+}
+
+
+@pytest.mark.parametrize("fault", LINES)
+def test_every_message_counts_the_lines_of_a_text_file_as_an_editor_does(station, tmp_path, fault):
+    """Whoever finds the fault: the reader of lines, the check of columns, the clock's, the import."""
+    bad, words = LINES[fault]
+    rows = ["0.0,0,0,0,0", bad, *(f"{0.002 * i:.3f},0,0,0,0" for i in range(2, 9))]
+    log = tmp_path / "bad.csv"
+    log.write_text('# rig = "sflr"\n# zero_id = "a"\n' + _csv(rows))
+    assert log.read_text().splitlines()[4] == bad
+    ended = station("import", log, "--out", tmp_path / "out.mcap")
+    assert ended.status == 1 and words in ended.one_line()
 
 
 def test_a_log_that_ends_early_or_has_gaps_says_so_wherever_it_is_used(station, tmp_path):
@@ -178,8 +203,9 @@ def test_two_runs_of_one_name(station, step, tmp_path):
     (tmp_path / "other").mkdir()
     same = tmp_path / "other" / "step.csv"
     same.write_text(step.read_text())
-    ended = station("replay", step, same)
-    assert ended.status == 2 and "step" in ended.one_line()
+    ended = station("replay", step, same, "--json", "-")
+    assert ended.status == 0
+    assert [run["run"] for run in json.loads(ended.out)["runs"]] == [f"{tmp_path.name}/step", "other/step"]
 
 
 @pytest.mark.parametrize("arguments", [

@@ -144,13 +144,13 @@ OTHER = _cause("dead_zone", "amplifier", rivals=(("backlash", "drive"),), width=
     ([FOUND], "   RIGHT:"), ([FOUND, OTHER], "   PARTLY RIGHT:"), ([OTHER], "   WRONG:"),
     ([_cause("dead_zone", "amplifier")], "   WRONG:"), ([], "   WRONG:")])
 def test_wrong_is_said_as_plainly_as_right(causes, said):
-    assert told(BACKLASH, _result(causes))[1].startswith(said)
+    assert told(BACKLASH, _result(causes).diagnosis)[1].startswith(said)
 
 
 def test_an_interval_that_misses_the_truth_is_shown():
     missed = _cause("backlash", "drive", gap=(0.08, 0.07, 0.09))
-    assert "OUTSIDE" in told(BACKLASH, _result([missed]))[2]
-    assert "is inside" in told(BACKLASH, _result([FOUND]))[2]
+    assert "OUTSIDE" in told(BACKLASH, _result([missed]).diagnosis)[2]
+    assert "is inside" in told(BACKLASH, _result([FOUND]).diagnosis)[2]
     tilt = effect_class("gravity_tilt")(at="base", torque=0.1, angle=-3.1)
     wrapped = _cause("gravity_tilt", "base", torque=(0.1, 0.05, 0.2), angle=(3.14, 3.0, -3.0))
-    assert all("is inside" in line for line in told(tilt, _result([wrapped]))[2:])
+    assert all("is inside" in line for line in told(tilt, _result([wrapped]).diagnosis)[2:])

@@ -74,3 +74,27 @@ def test_an_interrupt_that_an_import_swallowed_is_heard_before_a_motor_is_armed(
     finally:
         interruption.end()
     raise_interrupt()
+
+
+def test_an_interrupt_whose_stop_was_not_confirmed_says_who_stops_the_motor(tmp_path, capsys, monkeypatch):
+    from station.cli import main
+    from station.device.client import Client
+    from station.loop.engine import UNCONFIRMED, Session
+
+    loop = Session._loop
+
+    def interrupted(self):
+        if self._rows > 200:
+            raise KeyboardInterrupt
+        loop(self)
+
+    def test(out):
+        with pytest.raises(SystemExit) as end:
+            main(["run", "step", "--port", "sim://sflr", "--rig", "sflr", "--out", str(tmp_path / out)])
+        assert end.value.code == 130
+        return capsys.readouterr().err.splitlines()
+
+    monkeypatch.setattr(Session, "_loop", interrupted)
+    assert "watchdog" not in " ".join(test("one.mcap"))
+    monkeypatch.setattr(Client, "halt", lambda self, next_index=None: False)
+    assert test("two.mcap")[-2:] == [f"station: {UNCONFIRMED}", "station: interrupted"]

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from station.cli.investigate import first_test
+from station.cli.investigate import Folder, first_test
+from station.device.port import open_port
 from station.diagnose.result import NextExperiment
 from station.diagnose.trials import trials
 from station.errors import UsageError
@@ -162,3 +163,11 @@ def test_what_the_station_cannot_run_is_told_in_words():
     assert "--controller lead --gain 1 --zero 2 --pole 3" in wording.run_command(own)
     own["controller"] = {"kind": "lead_accel", "gain": 1.0}
     assert "--controller CONTROLLER.toml" in wording.run_command(own)
+
+
+def test_its_tests_are_answered_as_late_as_the_line_needs(tmp_path):
+    kept = Folder(tmp_path / "out", load_rig("sflr"), answer_ticks=2)
+    kept.make()
+    with open_port("sim://sflr") as line:
+        run = kept.run(line, {"kind": "step", "amplitude": 50.0, "duration": 0.8}, {"kind": "p", "gain": 1.0})
+    assert run.metadata.command_row == -2 and run.metadata.entries()["answer_ticks"] == 2

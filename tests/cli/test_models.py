@@ -114,3 +114,39 @@ def test_bode_draws_the_rig_and_a_run(station, step, tmp_path):
     ended = station("bode", "--rig", "sflr", "--run", step, "--out", out, "--overwrite")
     assert ended.status == 1 and "step" in ended.one_line()
     assert station("bode", "--rig", "sflr", "--out", tmp_path / "bode.txt").status == 2
+
+
+def test_runs_of_one_name_in_two_folders_are_told_apart(station, tmp_path):
+    """In the table and the file of compare, in the recording of view, and in replay."""
+    from station.runs.names import names_apart
+
+    files = []
+    for folder, size in (("monday", 50.0), ("tuesday", 80.0)):
+        (tmp_path / folder).mkdir()
+        files.append(tmp_path / folder / "step.csv")
+        export_run(step_run(amplitude=size), files[-1])
+    out = tmp_path / "found.json"
+    ended = station("compare", "--rig", "sflr", *files, "--json", out)
+    assert ended.status == 0 and "monday/step" in ended.out and "tuesday/step" in ended.out
+    assert [run["run"] for run in json.loads(out.read_text())["runs"]] == ["monday/step", "tuesday/step"]
+    ended = station("replay", *files)
+    assert [line.split(":")[0] for line in ended.out.splitlines()] == names_apart(files)
+    assert station("view", *files, "--save", tmp_path / "both.rrd").status == 0
+    ended = station("compare", "--rig", "sflr", files[0], files[0])
+    assert ended.status == 2 and "named twice" in ended.one_line()
+
+
+def test_a_diagnosis_names_runs_of_one_name_by_their_folders(station, tmp_path):
+    files = []
+    for folder, size in (("monday", 50.0), ("tuesday", 80.0)):
+        (tmp_path / folder).mkdir()
+        files.append(tmp_path / folder / "step.csv")
+        export_run(step_run(amplitude=size), files[-1])
+    out, page = tmp_path / "diagnosis.json", tmp_path / "report.html"
+    ended = station("diagnose", "--rig", "sflr", *files, "--effort", "quick", "--json", out, "--report", page)
+    assert ended.status == 0, ended.err
+    runs = json.loads(out.read_text())["runs"]
+    assert [run["run"] for run in runs] == ["monday/step", "tuesday/step"]
+    assert len({run["file_sha256"] for run in runs}) == 2
+    text = page.read_text()
+    assert "monday/step" in text and "tuesday/step" in text

@@ -15,6 +15,7 @@ import pytest
 
 from station.cli.run import KINDS, SWEEP_SPACING, WORDS
 from station.control import references
+from station.control.named import NAMED
 from station.runs import load_run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -44,6 +45,23 @@ def test_a_test_runs_and_its_log_replays(station, tmp_path, kind, options):
     assert run.metadata.rig["name"] == "sflr"
     assert np.ptp(run.encoder) > 5
     assert "every command is the compensator's" in station("replay", out).out
+
+
+def test_the_readme_names_every_compensator_of_the_command_line():
+    said = next(line for line in (ROOT / "README.md").read_text().splitlines() if "`--controller` is" in line)
+    assert all(f"`{name}`" in said for name in NAMED) and len(NAMED) == 4
+
+
+@pytest.mark.parametrize(("speed", "virtual"), [(0, True), (1, False)])
+def test_virtual_time_is_said_as_such_and_real_time_is_not(station, tmp_path, speed, virtual):
+    port = f"sim://sflr?speed={speed}"
+    out = tmp_path / "run.mcap"
+    ended = station("run", "pulse", "--port", port, "--rig", "sflr", "--duration", 0.6, "--out", out)
+    if "in fault" in ended.err:
+        pytest.skip("the machine is too busy for a paced loop")
+    assert ("(0.6 s of virtual time)" in ended.out) == virtual and ("(0.6 s)" in ended.out) != virtual
+    assert load_run(out).metadata.entries()["clock"] == ("virtual" if virtual else "real")
+    assert ("(virtual time)" in station("loopback", "--port", port, "--seconds", 0.2).out) == virtual
 
 
 @pytest.mark.parametrize(("options", "status", "named"), [

@@ -116,3 +116,12 @@ def test_a_stream_without_end_takes_no_memory_and_counts_once():
         assert decoder.pending <= LIMITS["frame_bytes"] + 1000
     decoder.feed(b"\0")
     assert decoder.corrupt == 1
+
+
+def test_a_frame_passes_under_the_seed_of_its_own_scope_alone():
+    """A link frame sealed with a session's number, and a session's sealed with none, are corrupt."""
+    for message in MESSAGES.values():
+        body = bytes([message.code]) + bytes(range(1, message.body_size))
+        for sealed in (0, 4711, 4712):
+            right = 4711 if message.in_session else 0
+            assert decode(encode(body, sealed)[:-1], 4711) == (body if sealed == right else None), message.name

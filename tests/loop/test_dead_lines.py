@@ -86,6 +86,24 @@ def test_a_line_that_babbles_in_a_session_is_lost(rows, instead, monkeypatch):
     assert rows.sinks[-1].closed and 140 < len(rows.run) < 160
 
 
+def test_a_device_in_virtual_time_that_a_busy_machine_starves_is_waited_for(rows):
+    """Its process does not run for a second: its time stands still, and nothing is lost."""
+    waits = []
+    with open_port("sim://sflr") as port:
+        read = port.read
+
+        def starved(size):
+            if port.serial.device.core.drive and len(waits) < 10:
+                waits.append(time.sleep(0.1))
+                return b""
+            return read(size)
+
+        port.read = starved
+        result = rows.test(port)
+    assert len(waits) == 10
+    assert (result.counts.samples, result.counts.lost, result.counts.unanswered) == (600, 0, 0)
+
+
 def test_a_stranger_that_answers_is_no_device():
     """An HTTP server's answer, and frames that pass but answer nothing."""
     class Stranger(Babbling):

@@ -1,8 +1,14 @@
 """What the host tells the device, and what it takes for new: limits of the rig, samples that come again later."""
 
+import numpy as np
+import pytest
+
 from station.device.port import Port, open_port
 from station.device.protocol import MESSAGES
 from station.device.simulated import Options, SimulatedDevice
+from station.model.simulate import simulate
+from station.rig import Limits
+from station.runs import compare_replay
 from tests.firmware.conftest import make_bench  # noqa: F401  (a fixture)
 from tests.loop.conftest import RIG
 
@@ -14,6 +20,28 @@ def test_the_rigs_limit_is_sent_to_a_device_that_would_allow_more(rows):
     with open_port("sim://sflr") as port:
         rows.test(port, rig=rig)
         assert port.serial.device.core.command_limit == 120
+
+
+@pytest.mark.parametrize(("amplifier", "command", "device", "acts"), [
+    (200.0, 60.5, 200, 60), (120.7, None, 200, 120), (200.0, None, 80, 80)])
+def test_the_tightest_limit_cuts_in_the_compensator_as_on_the_device_and_in_the_simulation(
+        rows, tmp_path, amplifier, command, device, acts):
+    """Of the rig's two and the device's own; so that nothing is left for the device to cut."""
+    rig = RIG.model_copy(update={"amplifier": RIG.amplifier.model_copy(update={"limit": amplifier}),
+                                 "limits": Limits(command=command)})
+    board = RIG.model_copy(update={"amplifier": RIG.amplifier.model_copy(update={"limit": float(device)})})
+    file = tmp_path / "rig.toml"
+    file.write_text(board.to_toml())
+    with open_port(f"sim://?rig={file}") as port:
+        compensator = rows.compensator()
+        result = rows.test(port, rig=rig, compensator=compensator)
+        assert port.serial.device.core.command_limit == acts
+    assert result.counts.limited == 0 and compensator.limit == 200.0
+    run = rows.run
+    assert run.metadata.command_limit == acts == np.abs(run.command).max()
+    made = simulate(rig, run)
+    np.testing.assert_array_equal([made.command, made.encoder], [run.command, run.encoder])
+    assert compare_replay(run).same
 
 
 class Again(Port):

@@ -17,6 +17,7 @@ from station.device.port import open_port
 from station.device.protocol import State
 from station.device.server import DeviceProcess
 from station.errors import WorkError
+from station.loop.engine import CONFIRMED, UNCONFIRMED
 from station.loop.run_test import identify_clear
 
 ROW = 200  # well into the step: the motor is driven
@@ -159,8 +160,9 @@ def test_the_abort_key_takes_the_motor_to_zero_within_one_tick(rows):
 def test_a_pulled_cable_is_told_and_the_watchdog_takes_the_motor_to_zero(rows):
     with open_port(f"sim://sflr?unplug_after={ROW}") as port:
         device = port.serial.device
-        with pytest.raises(WorkError, match=r"the line was lost .* check cable and device"):
+        with pytest.raises(WorkError, match=r"the line was lost .* check cable and device; " + UNCONFIRMED):
             rows.test(port)
+        assert UNCONFIRMED in rows.sinks[-1].metadata.model_extra["outcome"]
         assert device.core.running  # no stop can reach it
         assert device.core.drive != 0
         drives = [device.core.tick(i, 0, 0) for i in range(12)]
@@ -169,6 +171,37 @@ def test_a_pulled_cable_is_told_and_the_watchdog_takes_the_motor_to_zero(rows):
     assert rows.sinks[-1].closed
     assert len(rows.run) == ROW
     assert np.isnan(rows.run.latency[-1])
+
+
+def test_a_motor_is_said_to_be_at_zero_only_where_the_device_has_confirmed_it(rows):
+    """The same two ways out, on a line that carries the stop and on one that does not."""
+    request = Client._request
+
+    def deaf(self, name, *given, **values):
+        if name == "stop":
+            raise WorkError("no answer to stop")
+        return request(self, name, *given, **values)
+
+    for error, confirmed in ((WorkError("no room"), f"no room; {CONFIRMED}"), (KeyboardInterrupt(), "")):
+        with open_port("sim://sflr") as port:
+            with pytest.raises(type(error)) as told:
+                rows.test(port, compensator=ending(rows, error))
+            assert str(told.value) == confirmed and port.serial.device.core.drive == 0
+        with open_port("sim://sflr") as port, pytest.MonkeyPatch.context() as patch:
+            patch.setattr(Client, "_request", deaf)
+            with pytest.raises(type(error)) as told:
+                rows.test(port, compensator=ending(rows, error))
+            assert UNCONFIRMED in str(told.value) and CONFIRMED not in str(told.value)
+
+
+def test_what_fails_before_a_session_says_nothing_of_the_motor(rows, monkeypatch):
+    def refused(self, *given, **more):
+        raise WorkError("refused")
+
+    monkeypatch.setattr(Client, "configure", refused)
+    with pytest.raises(WorkError) as told:
+        rows.test_at("sim://sflr")
+    assert str(told.value) == "refused"
 
 
 def test_a_device_that_falls_silent_is_told(rows):

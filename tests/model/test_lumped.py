@@ -10,7 +10,7 @@ from station.control.compensators import Compensator
 from station.model.linear import natural_frequencies, state_space
 from station.model.lumped import DiscreteChain, lumped_assembly, run_chain
 from station.model.simulate import simulate
-from station.rig import Rig, load_rig
+from station.rig import Limits, Rig, load_rig
 from station.runs.run import Run, RunMetadata
 from tests.measured import measured_log
 from tests.model.random_rigs import rigs
@@ -71,6 +71,12 @@ def test_run(kind: str = "open", command_row: int = 0) -> Run:
 
 
 test_run.__test__ = False
+
+
+def test_the_chains_loop_is_cut_where_the_rigs_limit_for_tests_is():
+    rig = load_rig("sflr").model_copy(update={"limits": Limits(command=70.0)})
+    found = run_chain(rig, test_run("lead", command_row=-1), 4)
+    assert (found.command.max(), found.command.min()) == (70.0, -70.0)
 
 
 @given(rigs())

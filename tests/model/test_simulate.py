@@ -19,7 +19,7 @@ from station.control.rounding import round_half_up
 from station.model.effects import effect_class
 from station.model.linear import sampled
 from station.model.simulate import Plant, build, simulate, simulate_model
-from station.rig import Rig, load_rig
+from station.rig import Limits, Rig, load_rig
 from station.runs.run import Run, RunMetadata
 from tests.truth import CONTROLLERS, RIGID_AXIS, TWO_MASS
 
@@ -77,6 +77,22 @@ def test_plant_tick_by_tick_is_the_simulation(rig, held, controller):
         plant.advance(command)
     np.testing.assert_array_equal(np.array(rows).T, [whole.command, whole.encoder, whole.accel])
     assert np.ptp(whole.encoder) > 50 and np.ptp(whole.accel) > 20
+
+
+@pytest.mark.parametrize(("tested", "logged", "cut"), [(None, None, 200.0), (90.0, None, 90.0), (90.0, 60.0, 60.0),
+                                                       (90.0, 150.0, 90.0)])
+def test_a_closed_loop_is_cut_where_the_rigs_limits_or_the_runs_own_are_tightest(rig, tested, logged, cut):
+    machine = rig.model_copy(update={"limits": Limits(command=tested)})
+    made = simulate(machine, make_run(2.0 * STEP, "lead", command_limit=logged))
+    assert made.command.max() == cut and made.command.min() == -cut
+
+
+def test_a_limit_for_tests_leaves_the_amplifiers_own_laws_alone(rig):
+    """A gain curve is relative to the amplifier's limit, and logged commands acted as they are logged."""
+    machine = rig.with_effects(effects(("gain_curve", "amplifier", {"exponent": -0.3})))
+    tight = machine.model_copy(update={"limits": Limits(command=50.0)})
+    np.testing.assert_array_equal(simulate(tight, make_run(noise(200))).encoder,
+                                  simulate(machine, make_run(noise(200))).encoder)
 
 
 def test_a_loop_whose_controller_is_not_known_is_driven_by_its_logged_commands(rig):

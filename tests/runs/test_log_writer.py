@@ -8,6 +8,7 @@ import sys
 import textwrap
 import threading
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from station.errors import WorkError
 from station.loop.run_test import run_test
 from station.loop.sink import MemorySink
 from station.rig import load_rig
-from station.runs import McapLogWriter, load_run
+from station.runs import McapLogWriter, load_run, mcap_log
 from station.runs.mcap_read import scan_mcap
 from station.runs.run import RunMetadata
 from tests.runs.examples import METADATA, assert_same, full_run
@@ -249,3 +250,44 @@ def test_memory_stays_flat_over_many_rows(tmp_path):
     assert len(log._queue) <= 2000
     log.close()
     assert len(load_run(tmp_path / "a.mcap")) == 20000
+
+
+def test_a_row_wakes_the_thread_once_it_is_due_and_not_before(tmp_path, monkeypatch):
+    """Right after an answer, when nobody else wants the interpreter, and before the thread's own time has come."""
+    monkeypatch.setattr(mcap_log, "FLUSH_SECONDS", 30.0)
+    monkeypatch.setattr(mcap_log, "DUE_SECONDS", 0.5)
+    log = McapLogWriter(tmp_path / "a.mcap", RunMetadata(), blueprint=False)
+
+    def written(count, seconds=5.0):
+        end = time.monotonic() + seconds
+        while log.rows_written < count and time.monotonic() < end:
+            time.sleep(0.005)
+        return log.rows_written
+
+    log.append(row(0))
+    assert written(1) == 1  # the first row is due at once
+    log.append(row(1))
+    assert written(2, 0.1) == 1
+    time.sleep(0.5)
+    log.append(row(2))
+    assert written(3) == 3
+    log.close()
+
+
+def test_the_file_is_synced_once_a_second_and_at_its_end(tmp_path, monkeypatch):
+    """Not with each chunk, which would wear the disk and hold the log up; never more than a second apart."""
+    synced = []
+    real = os.fsync
+    monkeypatch.setattr(mcap_log.os, "fsync", lambda number: (synced.append(time.monotonic()), real(number)))
+    log = McapLogWriter(tmp_path / "a.mcap", METADATA, blueprint=False)
+    assert len(synced) == 1  # its head
+    end = time.monotonic() + 2.5
+    index = 0
+    while time.monotonic() < end:
+        log.append(row(index))
+        index += 1
+        time.sleep(0.01)
+    assert len(synced) == 3
+    assert all(after - before >= 0.95 for before, after in pairwise(synced))
+    log.close()
+    assert len(synced) == 4
