@@ -57,7 +57,10 @@ def address(law: Callable[..., float]) -> int:
     if law not in _compiled:
         on_disk = law.__code__.co_filename.endswith(".py") and Path(law.__code__.co_filename).exists()
         try:
-            _compiled[law] = cfunc(LAW, cache=on_disk, error_model="numpy")(law)
+            try:
+                _compiled[law] = cfunc(LAW, cache=on_disk, error_model="numpy")(law)
+            except ModuleNotFoundError:  # the cache was written where the same file was loaded under another name
+                _compiled[law] = cfunc(LAW, error_model="numpy")(law)
         except NumbaError as error:
             where = f"{law.__code__.co_filename}, line {law.__code__.co_firstlineno}"
             reason = next((line.strip() for line in str(error).splitlines()[1:] if line.strip()), str(error))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import subprocess
 import sys
 from pathlib import Path
 
@@ -177,3 +178,26 @@ def test_the_page_on_own_effects_says_what_the_code_says():
     assert len(rows) == 9
     for words in [*told, *(cell for row in rows for cell in re.split(" {2,}", row))]:
         assert " ".join(re.sub("[`|]", " ", words).split()) in plain, words
+
+
+SERIES = """
+import runpy, sys
+from station.model.effects import load_effects
+from station.model.effects.base import named
+from station.model.compiled import address
+if sys.argv[2] == "loaded":
+    load_effects(sys.argv[1])
+    law = next(cls.law for cls in named() if cls.name == "own_of_two_names")
+else:
+    law = runpy.run_path(sys.argv[1], run_name="__main__")["Own"].law
+print(address(law) != 0)
+"""
+
+
+def test_a_law_kept_on_disk_serves_the_same_file_under_another_name(tmp_path):
+    """A file that is loaded as effects and run as a program shares one compiled law on disk."""
+    path = written(tmp_path, name="own_of_two_names")
+    for how in ("loaded", "run", "loaded"):
+        ended = subprocess.run([sys.executable, "-c", SERIES, str(path), how], capture_output=True, text=True,
+                               cwd=ROOT, timeout=120)
+        assert (ended.returncode, ended.stdout.strip()) == (0, "True"), ended.stderr
