@@ -276,7 +276,7 @@ def _running_median(x: np.ndarray, y: np.ndarray, width: int = 25) -> tuple[np.n
 
 def _chain(rig: Rig, command: np.ndarray) -> np.ndarray:
     """The static part of the amplifier's chain."""
-    out = np.clip(command, -rig.amplifier.limit, rig.amplifier.limit)
+    out = np.clip(command, -rig.command_limit, rig.command_limit)
     for effect in sorted((e for e in rig.effects if e.stage is Stage.COMMAND and not e.states), key=lambda e: e.order):
         out = law_values(rig, effect, out, 0.0, rig.amplifier.limit)
     return out

@@ -75,7 +75,7 @@ class Trial:
     def as_run(self, rig: Rig) -> Run:
         """The test as a run that has not happened: from encoder count 0, row i's command from row i - 1's readings."""
         reference = reference_from_test(self.test, rig.sample_rate)
-        command = np.clip(reference, -rig.amplifier.limit, rig.amplifier.limit)
+        command = np.clip(reference, -rig.command_limit, rig.command_limit)
         still = np.zeros_like(reference)
         return Run("planned", np.arange(len(reference)) * rig.period, reference, command, still, still,
                    RunMetadata(controller=self.controller, test=self.test, command_row=-1))
@@ -106,8 +106,8 @@ def _bare(controller: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def most(trial: Trial, rig: Rig) -> float:
-    """Largest amplitude that makes sense: the amplifier's limit, or a fifth of a turn of the reference."""
-    return 0.2 * rig.encoder.counts_per_revolution if trial.closed else rig.amplifier.limit
+    """Largest amplitude that makes sense: the rig's largest command, or a fifth of a turn of the reference."""
+    return 0.2 * rig.encoder.counts_per_revolution if trial.closed else rig.command_limit
 
 
 def trials(rig: Rig, causes: Sequence[tuple[str, str]] = ()) -> list[Trial]:
@@ -119,7 +119,7 @@ def trials(rig: Rig, causes: Sequence[tuple[str, str]] = ()) -> list[Trial]:
         if controller is not BOTH or _has_both(rig):
             found.append(Trial(test, _scaled(controller, strength)).sized(scale, math.inf))
     for test in DRIVEN:
-        found.append(Trial(test, OPEN).sized(rig.amplifier.limit, rig.amplifier.limit))
+        found.append(Trial(test, OPEN).sized(rig.amplifier.limit, rig.command_limit))
     for name, _ in causes:
         told = {} if name.startswith("parameter:") else dict(effect_class(name).experiment)
         controller = NAMED.get(told.pop("controller", "open" if told.get("kind") in ("pulse", "pulse_train") else "p"))

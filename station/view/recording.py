@@ -140,7 +140,7 @@ def _log_run(recording: rr.RecordingStream, root: str, run: Run, sources: Sequen
     picture = _bode(run, sources)
     if picture is not None:
         recording.log(f"{root}/{BODE}", rr.EncodedImage(contents=picture, media_type="image/png"), static=True)
-    for event in find_events(run, rig.amplifier.limit, status_names):
+    for event in find_events(run, rig.command_limit, status_names):
         recording.set_time(TIMELINE, duration=float(seconds[event.row]))
         recording.log(f"{root}/events", rr.TextLog(event.text, level=event.level))
 

@@ -27,7 +27,7 @@ from station.diagnose.result import Prediction
 from station.diagnose.trials import LEAD, OPEN, P, Trial, trials
 from station.model.effects import effect_class
 from station.model.simulate import build
-from station.rig import Rig, load_rig
+from station.rig import Limits, Rig, load_rig
 from station.runs.run import Run, RunMetadata
 
 SFLR = load_rig("sflr")
@@ -193,6 +193,17 @@ def test_every_test_is_one_that_the_station_can_run(rig):
         assert trial.closed or np.max(np.abs(reference)) <= rig.amplifier.limit
         assert asked["amplitude"] == round(asked["amplitude"]) and {"duration", "rest"} <= asked.keys()
         assert controller["kind"] != "lead_accel" or rig.accelerometer is not None
+
+
+def test_no_test_asks_for_more_command_than_the_rig_file_allows():
+    gentle = SFLR.model_copy(update={"limits": Limits(command=60.0)})
+    assert gentle.amplifier.limit > 60.0
+    largest = []
+    for trial in trials(gentle, [("torque_ripple", "motor")]):
+        assert np.max(np.abs(trial.as_run(gentle).command)) <= 60.0
+        if not trial.closed:
+            largest.append(np.max(np.abs(reference_from_test(trial.test, gentle.sample_rate))))
+    assert max(largest) == 60.0
 
 
 def test_a_finer_encoder_is_asked_for_the_same_angles_at_the_same_effort():
