@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -73,6 +74,15 @@ def test_a_pulse_beyond_the_limit_is_simulated_as_the_device_cuts_it():
     run, made = st.run_test("sim://sflr", "sflr", pulse), st.simulate("sflr", pulse)
     assert run.command.max() == 200.0
     np.testing.assert_array_equal([made.command, made.encoder], [run.command, run.encoder])
+
+
+def test_comparing_tells_how_far_it_is(step):
+    from station.diagnose.compare import compare
+    from station.rig import load_rig
+
+    told = []
+    compare(load_rig("sflr"), [step, replace(step, name="other")], told.append)
+    assert told == [0.5, 1.0]
 
 
 def test_a_comparison_with_the_rig_itself_is_nothing(step):

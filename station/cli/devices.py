@@ -58,8 +58,8 @@ def loopback(
     from station.loop.loopback import loopback as exchange
 
     need_outputs(json, overwrite=overwrite)
-    with open_port(port, baud) as line:
-        found = exchange(line, rate, seconds, answer_ticks)
+    with open_port(port, baud) as line, progress(f"loopback on {port}") as update:
+        found = exchange(line, rate, seconds, answer_ticks, lambda row, rows: update(row / rows))
         counters = Client(line).statistics()._asdict()
     if as_json(json, {**asdict(found), "counters": counters}):
         return

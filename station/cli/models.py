@@ -47,7 +47,9 @@ def compare(runs: RunFiles, rig: RigName, json: Json = None, overwrite: Overwrit
 
     need_outputs(json, overwrite=overwrite, inputs=[rig, *runs])
     model = load_rig(rig)
-    found = against(model, load_runs(runs)).measures
+    measured = load_runs(runs)
+    with progress("simulating the tests") as update:
+        found = against(model, measured, update).measures
     if as_json(json, {"runs": found}):
         return
     console().print(comparison_table(model.name, found))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,16 +48,20 @@ class Comparison:
                             f"Error in % of the signal's spread, simulated by {self.rig.name}") + "".join(plots)
 
 
-def compare(rig: Rig, runs: Sequence[Run]) -> Comparison:
+def compare(rig: Rig, runs: Sequence[Run], progress: Callable[[float], None] = lambda share: None) -> Comparison:
     """Simulate the tests of runs on a rig, starting angle and accelerometer offset estimated per run.
 
     Where the first readings themselves suit a run better than that estimate, they are taken: a run that the rig
     simulated compares to itself by 0.  WorkError: a run's rate is not the rig's, or its controller reads a sensor that
-    the rig has not.
+    the rig has not.  ``progress`` is told the share that is done.
     """
     data = dataset(rig, runs)
     model = build(data.rig)
-    return Comparison(rig, data.runs, tuple(_nearest(data, model, r) for r in range(len(data.runs))))
+    made = []
+    for r in range(len(data.runs)):
+        made.append(_nearest(data, model, r))
+        progress((r + 1) / len(data.runs))
+    return Comparison(rig, data.runs, tuple(made))
 
 
 def _nearest(data: Dataset, model: Model, r: int) -> Simulation:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ from station.device.port import Port
 from station.device.protocol import Status
 from station.errors import UsageError, WorkError
 from station.loop.clocks import DeviceClock, Pace, pace
+from station.loop.display import watched
 from station.loop.engine import Counts, Session, Setup
 from station.loop.remedies import explained, latency_words
 from station.loop.run_test import identify_clear
@@ -48,9 +50,10 @@ class LoopbackResult:
     verdict: tuple[str, ...]
 
 
-def loopback(port: Port, rate: float | None = None, seconds: float = 2.0, answer_ticks: int = 1) -> LoopbackResult:
+def loopback(port: Port, rate: float | None = None, seconds: float = 2.0, answer_ticks: int = 1,
+             progress: Callable[[int, int], None] | None = None) -> LoopbackResult:
     """Exchange samples and commands for some seconds of device time; ``rate`` is by default the highest that device
-    and line offer under ``answer_ticks``.
+    and line offer under ``answer_ticks``.  ``progress`` is told the row and their number, beside the sample path.
 
     WorkError where no device answers or the line breaks; a device that goes into fault because answers come too
     late is a verdict, not an error.
@@ -74,11 +77,12 @@ def loopback(port: Port, rate: float | None = None, seconds: float = 2.0, answer
                received: float, written: float) -> None:
         rows.append((row, clock.seconds(ticks), status, received, written))
 
-    session = Session(client, Setup(identity, rate, 0.0, answer_ticks), max(round(seconds * rate), 2),
-                      lambda row, encoder, accel: 0, record)
+    wanted = max(round(seconds * rate), 2)
+    session = Session(client, Setup(identity, rate, 0.0, answer_ticks), wanted, lambda row, encoder, accel: 0, record)
     fault = None
     try:
-        session.run()
+        with watched(session, None if progress is None else lambda row: progress(row, wanted)):
+            session.run()
     except WorkError as error:
         if "in fault" not in str(error):
             raise

@@ -116,6 +116,14 @@ def test_the_device_itself_is_told_not_to_go_beyond_the_amplitude(rows):
         assert port.serial.device.core._core.config.command_limit == 20
 
 
+def test_loopback_tells_how_far_it_is():
+    told = []
+    with open_port("sim://sflr?speed=1") as port:
+        loopback(port, seconds=2.0, progress=lambda row, rows: told.append((row, rows)))
+    assert told and told == sorted(told)
+    assert all(0 <= row <= rows == 1000 for row, rows in told)
+
+
 def test_loopback_on_a_clean_line(rows):
     with open_port("sim://sflr") as port:
         result = loopback(port, seconds=1.0)
