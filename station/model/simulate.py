@@ -385,6 +385,10 @@ class Plant:
         self._offset = accel_offset
         self._work = np.zeros((4, max(self.model.plan.port_joint.size, 1)))
         self._out = np.zeros(2)
+        # One tick of another state: what compiles on a fresh machine does so now, not while a host waits for a sample.
+        spare = initial_state(self.model, start_angle)
+        stepper.begin(self.model.plan, spare)
+        stepper.tick(self.model.plan, spare, 0.0, accel_offset, True, self._work, np.zeros(2))
         stepper.begin(self.model.plan, self._state)
         self._out[:] = stepper.sense(self.model.plan, self._state, accel_offset, True)
 
