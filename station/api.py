@@ -85,7 +85,7 @@ def simulate(rig: AnyRig, test: AnyRun | Mapping[str, Any], controller: Controll
     if isinstance(test, Mapping):
         run = _planned(described, dict(test), controller)
     else:
-        run = load_run(test).filled()
+        run = load_run(test).filled(described.sample_rate)
         if controller is not None:
             spec = _controller(controller, {}, described)
             run = replace(run, metadata=run.metadata.model_copy(update={"controller": spec}))

@@ -44,7 +44,7 @@ from station.estimation.dataset import canonical_order, dataset
 from station.estimation.least_squares import Fit
 from station.estimation.observer import observers
 from station.estimation.parameters import Causes, Key
-from station.estimation.prediction import SEARCH, Predictor, angle_that_reads, predict
+from station.estimation.prediction import SEARCH, Predictor, predict_run
 from station.model.simulate import Simulation, build
 from station.rig import Rig
 from station.runs.run import Run
@@ -115,7 +115,8 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
         disturbance=_disturbance(predictor, [data.rig, refit_rig, extended]), rig=rig.name, effort=effort,
         runs=[RunFile(run=run.name) for run in given],
         ranking=[Ranked(effect=r.effect, at=r.at, probability=min(r.probability, 1.0), note=r.note) for r in ranking])
-    pictures = evidence(refit_rig, extended, runs[:1] if windows else runs, [(c.effect, c.at) for c in causes])
+    drawn = runs[:1] if windows else [run for run, warm in zip(runs, data.warm, strict=True) if not warm]
+    pictures = evidence(refit_rig, extended, drawn, [(c.effect, c.at) for c in causes])
     report("done", 1.0)
     return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, ranking, pictures, constants,
                            _notes(rig, search, left, said, found), 0.0, choice.plan, choice.unseen, choice.prediction,
@@ -153,7 +154,7 @@ def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice] | Non
     for run in runs:
         if rig.accelerometer is not None and run.accel is None:
             raise WorkError(f"{run.name}: no accelerometer column, but rig {rig.name} has an accelerometer")
-    runs = [run.filled() for run in runs]
+    runs = [run.filled(rig.sample_rate) for run in runs]
     if len(runs) > 1:
         return runs, None
     half = len(runs[0].t) // 2
@@ -220,9 +221,7 @@ def _disturbance(predictor: Predictor, rigs: Sequence[Rig]) -> Disturbance:
     def share(rig: Rig) -> float:
         model, missing, command = build(rig, *SEARCH[:2]), 0.0, 0.0
         for r, run in enumerate(data.runs):
-            torque = predict(model, observer, data.measured[r], np.ascontiguousarray(run.command, dtype=float),
-                             start_angle=angle_that_reads(model.rig, data.start[r], 0.0), offset=data.offset[r],
-                             equilibrium=run.metadata.start == "equilibrium", logged=data.logged[r])[1]
+            torque = predict_run(data, model, observer, r, data.start[r], data.offset[r])[1]
             missing, command = missing + float(torque @ torque), command + float(run.command @ run.command)
         return float(np.sqrt(missing / max(command, 1e-300)))
     nominal, refitted, extended = predictor.pool.map(share, rigs)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 
@@ -14,7 +15,7 @@ from station.estimation.least_squares import LOST, OFFSET_STEP, Fit, fit
 from station.estimation.likelihood import Weighing, nuisance_precision
 from station.estimation.observer import observers
 from station.estimation.parameters import Parameters
-from station.estimation.prediction import Predictor, angle_that_reads, predict
+from station.estimation.prediction import Predictor, angle_that_reads, predict_run
 from station.model.simulate import Model, Simulation, build, simulate_model
 
 AHEAD = (0.1, 1.0)
@@ -28,17 +29,16 @@ def whole_run(data: Dataset, model: Model, run: int, start: float, offset: float
               zero: float = 0.0, place: float = 0.0) -> Simulation:
     """One run as its test would have gone on a rig; ``start`` (rad) is what the encoder reads at sample 0.
 
-    A closed loop is simulated from its reference, an open one from its command; where the controller is unknown the
-    loop cannot be closed, and the run is predicted UNKNOWN_AHEAD from what was read before.
+    A closed loop is simulated from its reference, an open one from its command.  Where the controller is unknown, or
+    the log begins in motion, the loop cannot be closed, and the run is predicted UNKNOWN_AHEAD from what was read
+    before.
     """
-    this, angle = data.runs[run], angle_that_reads(model.rig, start, zero)
-    if this.metadata.controller.get("kind") != "unknown" or this.open_loop:
+    this, angle, moving = data.runs[run], angle_that_reads(model.rig, start, zero), data.warm[run] > 0
+    if not moving and (this.metadata.controller.get("kind") != "unknown" or this.open_loop):
         return simulate_model(model, this, rounding=rounding, start_angle=angle, accel_offset=offset, zero=zero,
                               gap_place=place)
-    observer, = observers(data.rig, data.noise[0], (UNKNOWN_AHEAD,))
-    found = predict(model, observer, data.measured[run], np.ascontiguousarray(this.command, dtype=float),
-                    start_angle=angle, offset=offset, zero=zero, gap_place=place,
-                    equilibrium=this.metadata.start == "equilibrium", logged=data.logged[run])[0]
+    observer, = observers(data.rig, data.noise[0], (math.inf if this.open_loop else UNKNOWN_AHEAD,))
+    found = predict_run(data, model, observer, run, start, offset, zero=zero, place=place)[0]
     if rounding:
         found = np.floor(found + 0.5)
     return Simulation(this.t, this.reference, this.command, found[0], found[1] if data.has_accel else None)
@@ -122,10 +122,8 @@ def predicted_ahead(predictor: Predictor, fits: Sequence[Fit] | Fit, nominal: bo
         run, rows = data.runs[r], data.windows[r]
         found = {}
         for seconds, observer in zip(AHEAD, watched, strict=True):
-            made, _ = predict(model, observer, data.measured[r], np.ascontiguousarray(run.command, dtype=float),
-                              start_angle=angle_that_reads(model.rig, left.start[r], zero), offset=left.offset[r],
-                              zero=zero, gap_place=left.space.place(x, r),
-                              equilibrium=run.metadata.start == "equilibrium", logged=data.logged[r])
+            made, _ = predict_run(data, model, observer, r, left.start[r], left.offset[r], zero=zero,
+                                  place=left.space.place(x, r))
             found[f"{seconds:g} s"] = nrmse(run.encoder[rows], made[0][rows])
         return found
     return list(predictor.pool.map(one, range(len(data.runs))))

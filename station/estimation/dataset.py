@@ -11,17 +11,20 @@ import numpy as np
 
 from station.errors import WorkError
 from station.estimation.noise import QUANTISATION, noise_sigmas, rest_rows, rounding_shares
+from station.model.simulate import build, simulate_model
 from station.rig import Rig
-from station.runs.run import Run
+from station.runs.run import RATES, Run, RunMetadata
 
-RATES = 0.01
-"""Largest share by which a run's sample rate may differ from the rig's."""
 SEGMENT = 1.0
 """Length of the stretches that are drawn again when data are resampled, s: longer than an arm's errors remember."""
 SEGMENTS = 40
 """Most stretches in all runs together; they grow longer instead."""
 RESTS = 100
 """Most rows at rest from which a starting angle is taken."""
+WARM = 1.0
+"""Seconds for that: what is wrong of a flexible arm's base and first mode is then below a hundredth (see FINDS)."""
+FIRST = 0.02
+"""Seconds that tell whether a run begins in motion: too few for a command to move much."""
 UNROUNDED = 0.3
 """Noise of an encoder, counts, from which on its rounding errors are independent from sample to sample (Widrow)."""
 
@@ -47,6 +50,8 @@ class Dataset:
     """(runs) starting angle as read, rad."""
     offset: np.ndarray
     """(runs) the accelerometer's offset as read at rest, counts."""
+    warm: tuple[int, ...]
+    """Per run: rows in which an observer finds the state of a rig that is in motion when the log begins."""
     zero_group: tuple[int, ...]
     clock: tuple[float, float] | None
     segment: tuple[np.ndarray, ...]
@@ -88,14 +93,17 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
 
     WorkError: a run's rate is not the rig's.
     """
+    runs = [run.filled(rig.sample_rate) for run in runs]
     for run in runs:
         if abs(run.sample_rate / rig.sample_rate - 1.0) > RATES:
             raise WorkError(f"{run.name}: sampled at {run.sample_rate:.6g} Hz, the rig at {rig.sample_rate:.6g} Hz")
-    runs = [run.filled() for run in runs]
     logged = tuple(run.logged for run in runs)
     kept = logged if windows is None else tuple(_within(w, rows) for w, rows in zip(windows, logged, strict=True))
     encoder, accel, rows = noise_sigmas(list(runs))
     has_accel = rig.accelerometer is not None and all(r.accel is not None for r in runs)
+    meshed = rig.meshed()
+    warm = tuple(_warm_rows(meshed, run, (encoder, accel) if has_accel else (encoder,)) for run in runs)
+    kept = tuple(k & (np.arange(k.size) >= w) for k, w in zip(kept, warm, strict=True))
     groups = list(dict.fromkeys(zero_ids := [r.metadata.zero_id or f"own {i}" for i, r in enumerate(runs)]))
     total = sum(len(r.t) / r.sample_rate for r in runs)
     length = max(SEGMENT, total / SEGMENTS)
@@ -106,22 +114,41 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
         segment.append(len(owner) + np.arange(len(run.t)) * count // len(run.t))
         owner += [i] * count
     return Dataset(
-        rig.meshed(), tuple(runs), kept, logged,
+        meshed, tuple(runs), kept, logged,
         tuple(np.stack([r.encoder, r.accel if has_accel else np.zeros_like(r.encoder)]).astype(float) for r in runs),
         tuple(_shares(r, w, encoder, 2 if has_accel else 1) for r, w in zip(runs, kept, strict=True)),
         (encoder, accel), rows,
         np.array([float(np.mean(r.encoder[: max(min(rest_rows(r), RESTS), 1)])) * rig.angle_per_count for r in runs]),
-        np.array([float(np.mean(r.accel[: max(rest_rows(r), 1)])) if has_accel else 0.0 for r in runs]),
+        np.array([float(np.mean(r.accel[: len(r) if w else max(rest_rows(r), 1)])) if has_accel else 0.0
+                  for r, w in zip(runs, warm, strict=True)]), warm,
         tuple(groups.index(z) for z in zero_ids), clock_evidence(runs), tuple(segment), np.array(owner))
 
 
 def beginning(data: Dataset, seconds: float) -> Dataset:
     """The same runs of which only so much counts as follows the first command."""
     shares = []
-    for run, share in zip(data.runs, data.share, strict=True):
-        end = int(np.argmax(run.command != run.command[0])) + math.ceil(seconds * run.sample_rate)
+    for run, share, warm in zip(data.runs, data.share, data.warm, strict=True):
+        end = max(int(np.argmax(run.command != run.command[0])), warm) + math.ceil(seconds * run.sample_rate)
         shares.append(np.where(np.arange(share.shape[1]) < end, share, 0.0))
     return replace(data, share=tuple(shares))
+
+
+def _warm_rows(rig: Rig, run: Run, noise: Sequence[float]) -> int:
+    """WARM in rows where a run begins in motion, else 0.
+
+    It does where its first rows are not those of the nominal rig at rest, times a factor of 0 to 2 that fits them best,
+    but for two counts, six sigma of noise and, of the accelerometer, a twentieth of what it reads in the whole run.
+    """
+    rows = max(math.ceil(FIRST * rig.sample_rate), 3)
+    first = replace(run.slice(0, rows), metadata=RunMetadata(start="equilibrium"))
+    made = simulate_model(build(rig), first, rounding=False, start_angle=float(run.encoder[0]) * rig.angle_per_count)
+    moving = False
+    for channel, sigma in zip(("encoder", "accel"), noise, strict=False):
+        measured, could = getattr(run, channel), getattr(made, channel) - np.mean(getattr(made, channel))
+        factor = min(max(float(could @ measured[:rows]) / max(float(could @ could), 1e-12), 0.0), 2.0)
+        small = 0.05 * float(np.ptp(measured)) if channel == "accel" else 0.0
+        moving |= float(np.ptp(measured[:rows] - factor * could)) > 2.0 + 6.0 * sigma + small
+    return math.ceil(WARM * rig.sample_rate) if moving and len(run) > 2 * WARM * rig.sample_rate else 0
 
 
 def _within(window: slice, logged: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from station.estimation.dataset import Dataset
-from station.estimation.observer import Observer
+from station.estimation.observer import Observer, observers
 from station.estimation.parameters import Parameters
 from station.model.compiled import kernel
 from station.model.effects import Stage
@@ -30,16 +30,20 @@ Accuracy = tuple[float, float, float]
 SEARCH: Accuracy = (0.1, 1e-3, 5e-4)
 FINE: Accuracy = (0.01, 5e-4, 2e-4)
 """Of the simulations in a search (errors below 0.1 count), and of those from which values are stated."""
+FINDS = 0.1
+"""Horizon (s) of the observer that finds the state of a rig in motion.  Of a shorter one the base follows the encoder
+so stiffly that the beam's errors ring on as on a clamp; a longer one's base forgets late."""
 SPAN = math.pi
 """Largest error of the angle that corrects a prediction, rad: a model that has run away is not chased."""
 
 
 @kernel()
-def _predict(plan, state, gain, torque_gain, decay, span, offset, command, measured, logged, predicted, disturbance,
-             work):
-    begin(plan, state)
+def _predict(plan, state, gain, torque_gain, decay, first, end, span, offset, command, measured, logged, predicted,
+             disturbance, work):
+    if first == 0:
+        begin(plan, state)
     d, plain = 0.0, is_plain(plan)
-    for row in range(command.size):
+    for row in range(first, end):
         if plain:
             predicted[0, row], predicted[1, row] = sense_plain(plan, state, offset)
         else:
@@ -60,19 +64,34 @@ def _predict(plan, state, gain, torque_gain, decay, span, offset, command, measu
 
 def predict(model: Model, observer: Observer, measured: np.ndarray, command: np.ndarray, *, start_angle: float,
             offset: float, zero: float = 0.0, gap_place: float = 0.0, equilibrium: bool = False,
-            logged: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+            logged: np.ndarray | None = None, warm: tuple[Observer, int] | None = None,
+            ) -> tuple[np.ndarray, np.ndarray]:
     """One run: predicted channels (2, n), counts, unrounded, and the observer's torque (n), counts of command.
 
     ``measured`` (2, n) counts, ``command`` (n) counts as logged; angles in rad.  Where ``logged`` (n) is False nothing
-    was read, and the observer runs on with its torque.
+    was read, and the observer runs on with its torque.  ``warm``: the observer that finds the state in so many first
+    rows, of a run that begins in motion.
     """
     state = initial_state(model, start_angle, zero, equilibrium=equilibrium, gap_place=gap_place)
     predicted, disturbance = np.zeros(measured.shape), np.zeros(len(command))
-    _predict(model.plan, state, model.form.inverse @ observer.state, observer.torque, observer.decay,
-             SPAN / model.rig.angle_per_count, offset, command, measured,
-             np.ones(len(command), dtype=bool) if logged is None else logged, predicted, disturbance,
-             np.zeros((4, max(model.plan.port_joint.size, 1))))
+    read = np.ones(len(command), dtype=bool) if logged is None else logged
+    work, count = np.zeros((4, max(model.plan.port_joint.size, 1))), SPAN / model.rig.angle_per_count
+    quick, rows = warm or (observer, 0)
+    for used, first, end in ((quick, 0, rows), (observer, rows, len(command))):
+        if end > first:
+            _predict(model.plan, state, model.form.inverse @ used.state, used.torque, used.decay, first, end, count,
+                     offset, command, measured, read, predicted, disturbance, work)
     return predicted, disturbance
+
+
+def predict_run(data: Dataset, model: Model, observer: Observer, run: int, start: float, offset: float, *,
+                zero: float = 0.0, place: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """As ``predict``, one run of a dataset; ``start`` (rad) is what the encoder reads at sample 0."""
+    this, rows = data.runs[run], data.warm[run]
+    return predict(model, observer, data.measured[run], np.ascontiguousarray(this.command, dtype=float),
+                   start_angle=angle_that_reads(model.rig, start, zero), offset=offset, zero=zero, gap_place=place,
+                   equilibrium=this.metadata.start == "equilibrium", logged=data.logged[run],
+                   warm=(observers(data.rig, data.noise[0], (FINDS,))[0], rows) if rows else None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,14 +120,10 @@ class Predictor:
     def run(self, model: Model, space: Parameters, x: np.ndarray, run: int, start: float, offset: float,
             ) -> np.ndarray:
         """One run's predictions (b, n), counts; ``start`` (rad) is what the encoder reads at sample 0."""
-        data = self.data
-        meta, zero = data.runs[run].metadata, space.zero(x, data.zero_group[run])
-        found = [predict(model, observer, data.measured[run], np.ascontiguousarray(data.runs[run].command, dtype=float),
-                         start_angle=angle_that_reads(model.rig, start, zero), offset=offset, zero=zero,
-                         gap_place=space.place(x, run), equilibrium=meta.start == "equilibrium",
-                         logged=data.logged[run])[0]
+        zero, place = space.zero(x, self.data.zero_group[run]), space.place(x, run)
+        found = [predict_run(self.data, model, observer, run, start, offset, zero=zero, place=place)[0]
                  for observer in self.observers]
-        return np.stack([y[0] for y in found] + [found[len(found) // 2][1]] * (data.channels - 1))
+        return np.stack([y[0] for y in found] + [found[len(found) // 2][1]] * (self.data.channels - 1))
 
     def runs(self, space: Parameters, x: np.ndarray, start: np.ndarray, offset: np.ndarray, *,
              parallel: bool = False) -> list[np.ndarray]:

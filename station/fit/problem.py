@@ -52,7 +52,7 @@ class Problem:
     def __init__(self, rig: Rig, runs: Sequence[Run], paths: list[str], domain: str) -> None:
         self.rig, self.paths = rig.meshed(), paths
         self.root = np.linalg.cholesky(rig.log_covariance(paths))
-        runs = [run.filled() for run in runs]
+        runs = [run.filled(rig.sample_rate) for run in runs]
         self.runs = runs if domain in ("time", "both") else []
         sigma = noise_sigmas(runs)
         self.scale = [1.0 / np.sqrt(s**2 + QUANTISATION) for s in sigma]

@@ -20,6 +20,10 @@ LOST = "lost"
 """Extra column of a filled run: 1 where the log has no such row."""
 BETWEEN = frozenset({"t", "encoder", "accel", "device_time", "host_time"})
 """Columns of which a lost row lies between its neighbours; the others keep what was logged last."""
+SENT = frozenset({"command", "reference"})
+"""Columns that went on between the rows of a log of every other tick."""
+RATES = 0.01
+"""Largest share by which a run's sample rate may differ from the rig's."""
 
 
 class RunMetadata(BaseModel):
@@ -214,12 +218,16 @@ class Run:
         lost = self.extra.get(LOST)
         return np.ones(len(self), dtype=bool) if lost is None else lost == 0.0
 
-    def filled(self) -> Run:
+    def filled(self, rate: float | None = None) -> Run:
         """The run with a row for every tick: lost ones have the command and reference last logged, readings and
         times on a straight line between their neighbours, and a 1 in the extra column ``lost``.
 
-        A run without gaps is itself.  WorkError where more ticks are lost than logged.
+        ``rate``: of the rig's ticks, Hz.  A log of every other one is spread over them; the commands between its rows
+        were sent, so that they, too, are put on the straight line.  A run without gaps is itself.  WorkError where more
+        ticks are lost than logged.
         """
+        if rate is not None and abs(2.0 * self.sample_rate / rate - 1.0) <= RATES:
+            return self._spread()
         if not self.lost_samples:
             return self
         if self.lost_samples > len(self):
@@ -232,6 +240,18 @@ class Run:
         for column in COLUMNS:
             if column.gaps and column.name in found:
                 found[column.name] = np.where(lost, np.nan, found[column.name])
+        return Run.from_columns(self.name, self.name, found | {"n": ticks, LOST: lost.astype(float)}, self.metadata)
+
+    def _spread(self) -> Run:
+        """The same with a lost row after every row but the last."""
+        rows, ticks = np.arange(len(self)), np.arange(2 * len(self) - 1)
+        run = self.filled()
+        found = {name: np.interp(0.5 * ticks, rows, values) if name in BETWEEN or name in SENT else values[ticks // 2]
+                 for name, values in run.columns().items()}
+        for column in COLUMNS:
+            if column.gaps and column.name in found:
+                found[column.name] = np.where(ticks % 2 == 1, np.nan, found[column.name])
+        lost = (ticks % 2 == 1) | ~run.logged[ticks // 2]
         return Run.from_columns(self.name, self.name, found | {"n": ticks, LOST: lost.astype(float)}, self.metadata)
 
     def slice(self, start: int, stop: int | None = None) -> Run:

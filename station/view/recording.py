@@ -16,11 +16,10 @@ import numpy as np
 
 from station.diagnose.result import RunComparison
 from station.errors import WorkError
-from station.estimation.dataset import RATES
 from station.model.simulate import Simulation, simulate
 from station.rig import Rig
 from station.runs.files import new_file
-from station.runs.run import Run
+from station.runs.run import RATES, Run
 from station.view import arm
 from station.view.bode import same_test_picture
 from station.view.events import find_events
@@ -95,12 +94,12 @@ def write_recording(path: str | os.PathLike[str], runs: Sequence[Entry], rig: Ri
 def _sources(entry: Entry, rig: Rig, extended: Rig | None) -> tuple[Run, list[_Source]]:
     simulated: dict[str, Simulation]
     if isinstance(entry, Run):
-        if abs(entry.sample_rate / rig.sample_rate - 1.0) > RATES:
-            raise WorkError(f"{entry.name}: sampled at {entry.sample_rate:.6g} Hz, rig {rig.name} at "
+        run = entry.filled(rig.sample_rate)
+        if abs(run.sample_rate / rig.sample_rate - 1.0) > RATES:
+            raise WorkError(f"{run.name}: sampled at {run.sample_rate:.6g} Hz, rig {rig.name} at "
                             f"{rig.sample_rate:.6g} Hz; name the run's own rig")
-        rest = 0.0 if entry.accel is None else arm.resting(entry.accel, entry.sample_rate)
+        rest = 0.0 if run.accel is None else arm.resting(run.accel, run.sample_rate)
         rigs = {"nominal": rig} | ({} if extended is None else {"extended": extended})
-        run = entry.filled()
         simulated = {name: simulate(each, run, accel_offset=rest, states=True) for name, each in rigs.items()}
     else:
         run, simulated = entry.run, {"nominal": entry.before}

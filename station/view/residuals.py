@@ -17,7 +17,7 @@ import numpy as np
 from station.diagnose.result import DiagnosisResult
 from station.estimation.dataset import Dataset, dataset
 from station.estimation.observer import HORIZONS, Observer, observers
-from station.estimation.prediction import angle_that_reads, predict
+from station.estimation.prediction import predict_run
 from station.model.simulate import Model, build
 from station.rig import Rig
 from station.runs.run import Run
@@ -60,7 +60,7 @@ def residuals(result: DiagnosisResult) -> list[Residual]:
     found = []
     for r, (number, run) in enumerate(kept):
         errors = [_errors(data, model, observer, r) for model in models]
-        rows = data.logged[r]
+        rows = data.windows[r]
         if not all(np.all(np.isfinite(e)) for e in errors):
             continue
         for c, channel in enumerate(CHANNELS[: data.channels]):
@@ -88,9 +88,4 @@ def _same_mesh(rig: Rig, like: Rig) -> Rig:
 
 def _errors(data: Dataset, model: Model, observer: Observer, r: int) -> np.ndarray:
     """(2, n) measured less predicted, counts."""
-    run = data.runs[r]
-    predicted, _ = predict(model, observer, data.measured[r], np.ascontiguousarray(run.command, dtype=float),
-                           start_angle=angle_that_reads(model.rig, float(data.start[r]), 0.0),
-                           offset=float(data.offset[r]), equilibrium=run.metadata.start == "equilibrium",
-                           logged=data.logged[r])
-    return data.measured[r] - predicted
+    return data.measured[r] - predict_run(data, model, observer, r, float(data.start[r]), float(data.offset[r]))[0]

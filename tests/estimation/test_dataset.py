@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from station.estimation.dataset import SEGMENTS, canonical_order, dataset
-from tests.estimation.made import AXIS, runs_of
+from station.estimation.dataset import SEGMENTS, WARM, canonical_order, dataset
+from station.rig import load_rig
+from tests.cli.conftest import step_run
+from tests.estimation.made import AXIS, run_of, runs_of
 
 
 def test_the_order_of_runs_is_their_contents_whatever_the_order_given() -> None:
@@ -46,3 +48,43 @@ def test_runs_share_a_zero_only_where_they_say_so() -> None:
     runs = runs_of(AXIS)
     apart = [replace(run, metadata=run.metadata.model_copy(update={"zero_id": None})) for run in runs]
     assert dataset(AXIS, runs).zero_group == (0, 0, 0) and dataset(AXIS, apart).zero_group == (0, 1, 2)
+
+
+def test_a_run_begins_in_motion_where_its_first_rows_do_what_a_rig_at_rest_cannot() -> None:
+    pulses = run_of(AXIS, 60.0, "open", "pulses", 3.0)
+    cuts = [pulses.slice(first) for first in (0, 20, 49, 100, 150)]
+    rows = round(WARM * AXIS.sample_rate)
+    assert dataset(AXIS, cuts).warm == (0, 0, 0, rows, rows)
+
+
+def test_a_step_in_the_first_row_is_no_motion_whatever_the_rigs_gain() -> None:
+    for gain in (0.6, 1.0, 1.8):
+        rig = AXIS.with_constants({"motor.gain": gain * AXIS.motor.gain})
+        run = run_of(rig, 90.0, "p2", "step", 2.0)
+        begun = run.slice(int(np.argmax(run.reference != 0.0)))
+        assert dataset(AXIS, [begun]).warm == (0,)
+
+
+def test_a_beam_that_rings_is_in_motion_though_its_base_stands_still() -> None:
+    rig, run = load_rig("sflr"), step_run(rows=1200)
+    still = np.flatnonzero(np.abs(np.convolve(np.diff(run.encoder), np.ones(10), mode="valid")) == 0.0)
+    ringing = next(int(row) for row in still if np.ptp(run.accel[row:row + 10]) > 0.2 * np.ptp(run.accel))
+    cut = run.slice(ringing)
+    assert len(cut) > 2 * WARM * rig.sample_rate
+    assert dataset(rig, [cut]).warm[0] > 0
+
+
+def test_rows_in_which_the_state_is_found_do_not_count() -> None:
+    data = dataset(AXIS, [run_of(AXIS, 60.0, "open", "pulses", 3.0).slice(150)])
+    assert data.warm[0] > 0
+    assert not data.share[0][:, : data.warm[0]].any() and not data.windows[0][: data.warm[0]].any()
+    assert data.share[0][:, data.warm[0]:].any()
+
+
+def test_a_log_of_every_other_tick_of_the_rig_is_one_with_gaps() -> None:
+    run = run_of(AXIS, 60.0, "open", "pulses")
+    thin = replace(run, **{name: values[::2] for name, values in run.columns().items()})
+    data = dataset(AXIS, [thin])
+    assert data.runs[0].sample_rate == AXIS.sample_rate
+    assert not data.logged[0][1::2].any() and data.logged[0][::2].all()
+    assert not data.share[0][:, 1::2].any()

@@ -7,11 +7,13 @@ import math
 import numpy as np
 import pytest
 
+from station.estimation.dataset import dataset
 from station.estimation.observer import observers
-from station.estimation.prediction import SEARCH, predict
+from station.estimation.prediction import SEARCH, predict, predict_run
 from station.model.effects import effect_class
 from station.model.simulate import build, simulate_model
 from station.rig import load_rig
+from tests.cli.conftest import step_run
 from tests.estimation.made import AXIS, run_of
 from tests.truth import SFLR, innovations
 
@@ -50,6 +52,22 @@ def test_a_right_model_misses_no_more_than_rounding_at_any_horizon() -> None:
                            np.ascontiguousarray(run.command), start_angle=0.0, offset=0.0)
         assert np.abs(run.encoder - found[0]).max() < 1.0
         assert np.std(run.encoder - found[0]) < 0.4
+
+
+def test_of_a_run_that_begins_in_motion_the_state_is_found_before_anything_counts() -> None:
+    rig = load_rig("sflr")
+    whole = step_run(rows=1200)
+    moving = whole.slice(int(np.argmax(np.abs(np.diff(whole.encoder)) > 1.0)) + 20)
+    data = dataset(rig, [moving])
+    model = build(data.rig, *SEARCH[:2])
+    observer = observers(data.rig, data.noise[0], (math.inf,))[0]
+    found, torque = predict_run(data, model, observer, 0, data.start[0], data.offset[0])
+    rest = predict(model, observer, data.measured[0], np.ascontiguousarray(moving.command, dtype=float),
+                   start_angle=data.start[0], offset=data.offset[0])[0]
+    rows = slice(data.warm[0], None)
+    error, at_rest = (np.sqrt(np.mean((moving.encoder[rows] - y[0, rows]) ** 2)) for y in (found, rest))
+    assert data.warm[0] > 0 and not torque[rows].any()
+    assert error < 1.0 and at_rest > 5.0 * error
 
 
 def test_a_known_torque_is_found_by_the_observer() -> None:

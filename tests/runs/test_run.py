@@ -88,6 +88,26 @@ def test_a_gap_is_filled_with_the_command_in_force_and_its_rows_are_marked():
     assert run.logged.all() and run.slice(0, 11).filled().name == "made"
 
 
+def test_a_log_of_every_other_tick_is_spread_over_them_with_the_commands_between_on_a_straight_line():
+    rows = np.arange(31)
+    run = Run(name="made", **plain(t=rows / 250.0, command=10.0 * rows, encoder=3.0 * rows, reference=1.0 * rows,
+                                   latency=1e-4 + 0.0 * rows))
+    whole = run.filled(500.0)
+    assert len(whole) == 61 and whole.sample_rate == 500.0 and whole.lost_samples == 0
+    np.testing.assert_array_equal(np.flatnonzero(~whole.logged), np.arange(1, 61, 2))
+    np.testing.assert_allclose(whole.command, 5.0 * np.arange(61))
+    np.testing.assert_allclose(whole.encoder, 1.5 * np.arange(61))
+    assert np.isnan(whole.latency[1::2]).all() and not np.isnan(whole.latency[::2]).any()
+    assert run.filled(250.0) is run and run.filled(600.0) is run
+
+
+def test_a_row_that_a_log_of_every_other_tick_lost_is_lost_there_too():
+    n = np.delete(np.arange(31), [11])
+    whole = Run(name="made", **plain(t=n / 250.0, n=n)).filled(500.0)
+    assert len(whole) == 61
+    np.testing.assert_array_equal(np.flatnonzero(~whole.logged), sorted({*range(1, 61, 2), 22}))
+
+
 def test_a_run_that_lost_more_than_it_logged_is_refused():
     n = np.array([0, 1, 2, 900])
     with pytest.raises(WorkError, match="897 samples lost and 4 logged"):
