@@ -45,7 +45,7 @@ def _table() -> dict[str, set[str]]:
     rows = re.findall(r"^\| `station/(\w+)(?:/|\.py)` \|.*\| ([^|]+) \|$",
                       (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8"), re.MULTILINE)
     said = dict(rows)
-    assert len(said) == len(rows) == 12
+    assert len(said) == len(rows) == 13
     known = {name: set(re.findall(r"[a-z]+", text)) & set(said) for name, text in said.items()}
     known["view"] |= known["diagnose"]                                      # "and what diagnose may know"
     known["api"], known["cli"] = set(said) - {"api", "cli"}, set(said)      # "all below", "all"

@@ -12,7 +12,6 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from station.diagnose.equivalences import completed, rivals, standing, with_word
-from station.diagnose.evidence import evidence
 from station.diagnose.experiment import choose
 from station.diagnose.measures import floor, nrmse, step_measures
 from station.diagnose.odds import Odds, estimates, odds
@@ -46,6 +45,7 @@ from station.estimation.observer import observers
 from station.estimation.parameters import Causes, Key
 from station.estimation.prediction import SEARCH, Predictor, predict_run
 from station.model.simulate import Simulation, build
+from station.pictures.evidence import evidence
 from station.rig import Rig
 from station.runs.run import Run
 

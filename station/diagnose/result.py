@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from station import __version__, markup
 from station.model.simulate import Simulation
+from station.pictures.evidence import Evidence
 from station.rig import Rig
 from station.runs.run import Run
 
@@ -169,21 +170,6 @@ class RankedCause:
     held_out_gain: float | None
     """Share of the re-fitted rig's error on unseen runs that it takes away, by fits that left them out."""
     parameters: dict[str, Estimate]
-    note: str = ""
-
-
-@dataclass(frozen=True)
-class Evidence:
-    """A picture specific to a cause: points, and the law drawn through them."""
-
-    title: str
-    kind: str
-    xlabel: str
-    ylabel: str
-    x: np.ndarray
-    y: np.ndarray
-    law_x: np.ndarray | None = None
-    law_y: np.ndarray | None = None
     note: str = ""
 
 

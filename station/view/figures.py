@@ -12,9 +12,9 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from station.diagnose.evidence import Contrast
-from station.diagnose.result import DiagnosisResult, Evidence, Prediction, RunComparison
+from station.diagnose.result import DiagnosisResult, Prediction, RunComparison
 from station.model.simulate import Simulation
+from station.pictures.evidence import Contrast, Evidence
 from station.view import remaining
 from station.view.labels import place_labels
 from station.view.residuals import Residual

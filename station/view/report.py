@@ -16,9 +16,10 @@ import plotly.graph_objects as go
 
 import station
 from station.diagnose.odds import RESAMPLES, SEED
-from station.diagnose.result import Cause, DiagnosisResult, Estimate, Evidence, RunComparison
+from station.diagnose.result import Cause, DiagnosisResult, Estimate, RunComparison
 from station.diagnose.thresholds import STABLE
 from station.diagnose.validation import UNKNOWN_AHEAD
+from station.pictures.evidence import Evidence
 from station.view import figures, remaining, wording
 from station.view.html import render, script_json, write_page
 from station.view.residuals import HORIZON, residuals

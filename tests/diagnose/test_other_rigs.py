@@ -12,10 +12,10 @@ import pytest
 
 from station.diagnose.candidates import candidates
 from station.diagnose.diagnose import diagnose
-from station.diagnose.missing import missing_torque
 from station.diagnose.result import DiagnosisResult
 from station.errors import UsageError
 from station.model.effects import effect_class
+from station.pictures.missing import missing_torque
 from station.rig import Rig
 from station.view.recording import write_recording
 from station.view.report import write_report

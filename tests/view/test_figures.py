@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from station.diagnose.evidence import Contrast
+from station.pictures.evidence import Contrast
 from station.view import figures, remaining
 from station.view.labels import place_labels
 from tests.view import made

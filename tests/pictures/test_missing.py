@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from station.diagnose.missing import _likeliest, _misfit, _smooth, missing_torque, port_vector
 from station.errors import UsageError, WorkError
 from station.model.assembly import assemble, state_matrix, torque_input
 from station.model.effects import effect_class
+from station.pictures.missing import _likeliest, _misfit, _smooth, missing_torque, port_vector
 from station.rig import Rig, load_rig
 from station.runs.run import Run, RunMetadata
 from tests.truth import CONTROLLERS, RIGID_AXIS, SFLR, TWO_MASS, Conditions, pulse_test, simulate_case, step_test
@@ -196,7 +196,7 @@ def test_an_accelerometer_that_no_torque_explains_is_not_believed(monkeypatch):
     wary = [missing_torque(RIG, run) for run, _ in runs]
     assert all(found.mistrust > 1.0 for found in wary)
     assert all(missing_torque(RIG, run).mistrust == 1.0 for run, _ in made([FRICTION]))
-    monkeypatch.setattr("station.diagnose.missing.MISTRUST", (1.0,))
+    monkeypatch.setattr("station.pictures.missing.MISTRUST", (1.0,))
     for (run, _), found in zip(runs, wary, strict=True):
         assert rms(found.torque) < 0.7 * rms(missing_torque(RIG, run).torque)
 
@@ -210,7 +210,7 @@ def test_without_the_accelerometer_the_encoder_alone_still_finds_friction():
 
 def test_the_likeliest_step_is_the_one_that_made_the_data():
     """A random walk of a known step, seen through noise: found within a factor of two."""
-    from station.diagnose.missing import _System
+    from station.pictures.missing import _System
 
     rng = np.random.default_rng(8)
     step, rows = 0.03, 4000

@@ -1,6 +1,6 @@
 """Pictures specific to a cause: what was measured once the cause is taken out, and the fitted law drawn through it.
 
-Points never know the law: torques are smoothed from the run with nothing assumed (station.diagnose.missing), ratios
+Points never know the law: torques are smoothed from the run with nothing assumed (station.pictures.missing), ratios
 are measured over simulated channels.  The rig that they are taken against is the extended rig without the one cause,
 so that other causes do not blur the picture; the sceptic's view at the end is against the re-fitted rig alone.
 """
@@ -16,17 +16,16 @@ import numpy as np
 from scipy import signal
 from scipy.ndimage import median_filter
 
-from station.diagnose.missing import (
+from station.model.effects import Effect, Stage, catalogue
+from station.model.modal import modal_form
+from station.model.simulate import Simulation, build, by_load, simulate_model
+from station.pictures.missing import (
     MissingTorque,
     joint_torque,
     law_values,
     missing_torque,
     rest_start,
 )
-from station.diagnose.result import Evidence
-from station.model.effects import Effect, Stage, catalogue
-from station.model.modal import modal_form
-from station.model.simulate import Simulation, build, by_load, simulate_model
 from station.rig import Rig
 from station.runs.run import Run, RunMetadata
 
@@ -38,6 +37,21 @@ SPREAD = 0.1
 FEWEST = 4
 """Spectral lines, over all runs, that a band holds at least: fewer would look coherent by themselves."""
 _DELAYS = (Stage.INPUT_DELAY, Stage.ENCODER_DELAY, Stage.ACCEL_DELAY)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A picture specific to a cause: points, and the law drawn through them."""
+
+    title: str
+    kind: str
+    xlabel: str
+    ylabel: str
+    x: np.ndarray
+    y: np.ndarray
+    law_x: np.ndarray | None = None
+    law_y: np.ndarray | None = None
+    note: str = ""
 
 
 @dataclass(frozen=True)

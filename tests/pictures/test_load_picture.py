@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from station.diagnose.evidence import evidence
 from station.model.effects import effect_class
 from station.model.simulate import simulate
+from station.pictures.evidence import evidence
 from station.rig import Amplifier, Encoder, Motor, Rig
 from station.runs.run import Run, RunMetadata
 
