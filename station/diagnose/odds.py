@@ -17,10 +17,11 @@ import numpy as np
 
 from station.diagnose.result import Estimate
 from station.diagnose.selection import Selection
-from station.diagnose.thresholds import BEYOND, CLOSE
+from station.diagnose.thresholds import BEYOND, CLOSE, FEW, VARIES
 from station.estimation.identifiability import parameter_states
 from station.estimation.least_squares import Fit
 from station.estimation.parameters import Causes, Key
+from station.estimation.spread import between_runs
 from station.model.units import UNITS
 
 RESAMPLES = 100
@@ -129,11 +130,14 @@ def estimates(found: Fit, rougher: Fit | None = None) -> tuple[dict[Key, dict[st
     nominal = space.rig.constants()
     log_sd = np.sqrt(np.diag(space.root @ covariance[:n, :n] @ space.root.T) + (space.root @ shift[:n]) ** 2)
     constants = {}
+    accused = set(space.hypothesis.constants)
     for i, path in enumerate(space.paths):
         value, spread = nominal[path] * math.exp(found.logs[i]), math.exp(1.96 * log_sd[i])
         least, most = sorted((value / spread, value * spread))
         constants[path] = Estimate(value=value, low=least, high=most, unit=UNITS[path],
-                                   state=found_states[i].state)
+                                   state=found_states[i].state,
+                                   spread=_spread(found, np.linalg.inv(space.root)[:, i], value)
+                                   if path in accused else None)
     causes: dict[Key, dict[str, Estimate]] = {}
     for k, coordinate in enumerate(space.coordinates, space.parts["effects"].start):
         cls, at = space.hypothesis.effects[coordinate.effect]
@@ -143,7 +147,22 @@ def estimates(found: Fit, rougher: Fit | None = None) -> tuple[dict[Key, dict[st
             ends = (-math.pi, ends[1], math.pi)
         causes.setdefault((cls.name, at), {})[coordinate.name] = Estimate(
             value=float(ends[1]), low=float(ends[0]), high=float(ends[2]), unit=coordinate.info.unit,
-            state=found_states[k].state)
+            state=found_states[k].state,
+            spread=None if coordinate.info.periodic else
+            _spread(found, np.eye(space.size)[k], abs(ends[1]) if coordinate.log else coordinate.scale))
     for path in space.hypothesis.constants:
         causes[(f"parameter:{path}", "")] = {"value": constants[path]}
     return causes, constants
+
+
+def _spread(found: Fit, direction: np.ndarray, unit: float) -> float | None:
+    """Standard deviation of a parameter between runs, in the value's unit; None where nothing says that they differ.
+
+    ``direction``: of x, by which the parameter changes by ``unit``; constants' alone may be given.
+    """
+    if len(found.squares) < FEW:
+        return None
+    whole = np.zeros(found.space.size)
+    whole[: direction.size] = direction
+    seen = between_runs(found, whole)
+    return float(seen.size * unit) if seen.gained > VARIES else None

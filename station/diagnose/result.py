@@ -40,6 +40,8 @@ class Estimate(_Table):
     high: float
     unit: str
     state: Literal["determined", "at_bound", "traded_off", "not_excited"] = "determined"
+    spread: float | None = None
+    """Standard deviation between runs where they differ; None where one value does for all."""
 
 
 class Rival(_Table):

@@ -122,17 +122,22 @@ class Fit:
 
     def normal(self, weighing: Weighing, drawn: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Normal matrix (p, p) and gradient (p) of the data, nuisances eliminated."""
-        info, p = self.information, self.space.size
+        normals, gradients = self.run_normals(weighing, drawn)
+        return normals.sum(axis=0), gradients.sum(axis=0)
+
+    def run_normals(self, weighing: Weighing, drawn: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """The same run by run: (runs, p, p) and (runs, p)."""
+        info, p, runs = self.information, self.space.size, len(self.squares)
         w = self.blocks(weighing, drawn)[self.owner] * (1.0 if drawn is None else drawn[:, None])
-        total, slope = np.zeros((p, p)), np.zeros(p)
+        total, slope = np.zeros((runs, p, p)), np.zeros((runs, p))
         matrices = np.einsum("sb,sbij->sij", w, info.normal)
         slopes = np.einsum("sb,sbi->si", w, info.gradient)
-        for r in range(len(self.squares)):
+        for r in range(runs):
             m, v = matrices[self.owner == r].sum(axis=0), slopes[self.owner == r].sum(axis=0)
             inner = m[p:, p:] + np.diag(self.nuisance)
             solved = np.linalg.solve(inner, np.column_stack([m[p:, :p], v[p:] - self.nuisance * self.away[r]]))
-            total += m[:p, :p] - m[:p, p:] @ solved[:, :p]
-            slope += v[:p] - m[:p, p:] @ solved[:, p]
+            total[r] = m[:p, :p] - m[:p, p:] @ solved[:, :p]
+            slope[r] = v[:p] - m[:p, p:] @ solved[:, p]
         return total, slope
 
     @cached_property

@@ -95,7 +95,8 @@ def interval(estimate: Estimate) -> str:
     if math.isfinite(high - low) and high > low and value:
         digits = min(6, max(2, 2 + math.floor(math.log10(abs(value)) - math.log10((high - low) / 2.0))))
     unit = f" {unit_of(estimate)}" if unit_of(estimate) else ""
-    return f"{number(value, digits)}{unit} ({number(low, digits)} to {number(high, digits)})"
+    differs = "" if estimate.spread is None else f", from run to run ± {number(estimate.spread, 2)}"
+    return f"{number(value, digits)}{unit} ({number(low, digits)} to {number(high, digits)}{differs})"
 
 
 def unit_of(estimate: Estimate) -> str:

@@ -1,0 +1,58 @@
+"""How much a parameter differs from run to run, where a fit has given all runs one value.
+
+Every run r has its own value theta + a_r, a_r ~ N(0, tau^2), all other parameters shared (Gelman et al., Bayesian Data
+Analysis, 3rd ed. 2013, section 5.4).  With the normal matrices N_r and gradients g_r of a fit that stands at its
+optimum, u the parameter's direction, B = sum N_r + P with P the prior's precision, c_r = N_r u,
+
+    M = diag(u' N_r u) - C' B^-1 C,   v_r = u' g_r - c_r' B^-1 b,   b = sum g_r - P (x - mean)
+    2 ln L(tau)/L(0) = sum_k w_k^2 tau^2/(1 + lambda_k tau^2) - ln(1 + lambda_k tau^2)
+
+lambda and Q M's eigenvalues and vectors, w = Q' v: the shared parameters integrated out (restricted likelihood,
+Harville, J. Am. Stat. Assoc. 72, 1977).  One linear step from the shared fit: sizes that enter by their logarithm give
+the spread as a share of the value.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from station.estimation.least_squares import Fit
+
+WIDEST = 10.0
+"""Largest spread that is tried, in units of the parameter: ten times the value, or ten usual sizes."""
+TINIEST = 1e-4
+"""Smallest, in the same units."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Standard deviation between runs, in the direction's units, and 2 ln L gained by it over one common value."""
+
+    size: float
+    gained: float
+
+
+def between_runs(found: Fit, direction: np.ndarray) -> Spread:
+    """The spread of a parameter along a direction (p) of x that the runs are most likely with."""
+    normals, gradients = found.run_normals(found.weighing)
+    prior = found.space.precision
+    shared = normals.sum(axis=0) + np.diag(prior)
+    force = gradients.sum(axis=0) - prior * (found.x - found.space.mean)
+    coupled = normals @ direction
+    solved = np.linalg.solve(shared, np.column_stack([coupled.T, force]))
+    matrix = np.diag(coupled @ direction) - coupled @ solved[:, :-1]
+    slope = gradients @ direction - coupled @ solved[:, -1]
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    values, along = np.maximum(values, 0.0), vectors.T @ slope
+
+    def gained(log_size: float) -> float:
+        variance = np.exp(2.0 * log_size)
+        grown = 1.0 + values * variance
+        return float(np.sum(along**2 * variance / grown - np.log(grown)))
+
+    best = minimize_scalar(lambda s: -gained(s), bounds=(np.log(TINIEST), np.log(WIDEST)), method="bounded",
+                           options={"xatol": 1e-4})
+    return Spread(float(np.exp(best.x)), -float(best.fun)) if best.fun < 0.0 else Spread(0.0, 0.0)

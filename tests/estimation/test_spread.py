@@ -1,0 +1,68 @@
+"""A parameter that differs from run to run is told from one that does not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from station.estimation.dataset import dataset
+from station.estimation.least_squares import Fit, fit
+from station.estimation.likelihood import Weighing, block_counts
+from station.estimation.observer import observers
+from station.estimation.parameters import Hypothesis, parameters
+from station.estimation.prediction import Predictor
+from station.estimation.spread import Spread, between_runs
+from station.model.effects import effect_class
+from tests.estimation.made import AXIS, run_of
+
+BIAS, FRICTION = effect_class("command_bias"), effect_class("coulomb_friction")
+TESTS = [(90.0, "p2"), (-60.0, "p1"), (60.0, "open"), (-80.0, "p2"), (70.0, "p1"), (-50.0, "open")]
+USUAL = 0.02 * AXIS.motor.gain * AXIS.amplifier.limit
+VARIES = 5.41
+
+
+def fitted(offsets: Sequence[float], torques: Sequence[float]) -> Fit:
+    """A bias and friction fitted to six runs, each of which had its own."""
+    runs = [run_of(AXIS.with_effects([BIAS(at="amplifier", offset=offset), FRICTION(at="motor", torque=torque)]),
+                   amplitude, controller, f"run {k}")
+            for k, ((amplitude, controller), offset, torque) in enumerate(zip(TESTS, offsets, torques, strict=True))]
+    with ThreadPoolExecutor(1) as pool:
+        predictor = Predictor(dataset(AXIS, runs), observers(AXIS, 0.0), pool)
+        weighing = Weighing(block_counts(predictor.data, predictor.channel), 1.0)
+        space = parameters(predictor.data, Hypothesis(((BIAS, "amplifier"), (FRICTION, "motor"))),
+                           {("command_bias", "amplifier"): {"offset": 3.0},
+                            ("coulomb_friction", "motor"): {"torque": USUAL}})
+        return fit(predictor, space, weighing, space.mean.copy(), tolerance=0.01, iterations=40)
+
+
+def spreads(found: Fit) -> tuple[Spread, Spread, float]:
+    """Of the bias, in counts, and of the friction, as a share; the bias that one value for all gives."""
+    first = found.space.parts["effects"].start
+    own = np.eye(found.space.size)
+    scale = found.space.coordinates[0].scale
+    bias = between_runs(found, own[first] / scale)
+    return bias, between_runs(found, own[first + 1]), found.space.values(found.x)["command_bias", "amplifier"]["offset"]
+
+
+def test_one_value_for_all_runs_shows_no_spread() -> None:
+    bias, friction, common = spreads(fitted([3.0] * 6, [USUAL] * 6))
+    assert bias.gained < VARIES and friction.gained < VARIES
+    assert common == pytest.approx(3.0, abs=0.5)
+
+
+def test_a_bias_that_differs_shows_its_size_and_friction_that_does_not_shows_none() -> None:
+    offsets = np.array([-3.0, 5.0, 1.0, 7.0, -1.0, 4.0])
+    bias, friction, _ = spreads(fitted(offsets, [USUAL] * 6))
+    assert bias.gained > 10.0 * VARIES
+    assert bias.size == pytest.approx(offsets.std(ddof=1), rel=0.5)
+    assert friction.gained < bias.gained / 3.0
+
+
+def test_friction_that_differs_shows_as_a_share_of_its_size() -> None:
+    shares = np.array([0.6, 1.4, 0.8, 1.3, 1.0, 1.1])
+    _, friction, _ = spreads(fitted([3.0] * 6, list(USUAL * shares)))
+    assert friction.gained > VARIES
+    assert friction.size == pytest.approx(shares.std(ddof=1), rel=0.6)
