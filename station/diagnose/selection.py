@@ -25,7 +25,7 @@ from station.diagnose.thresholds import (
 from station.estimation.dataset import beginning
 from station.estimation.least_squares import LOST, Fit, fit, inherited, weighing_of
 from station.estimation.likelihood import Weighing, block_counts
-from station.estimation.parameters import Causes, Hypothesis, Key, Sizes, parameters
+from station.estimation.parameters import WIDE, Causes, Hypothesis, Key, Sizes, parameters
 from station.estimation.prediction import FINE, Predictor
 from station.model.effects import Stage
 
@@ -34,6 +34,10 @@ BEGIN = 0.02
 BEGINNINGS = (0.1, 0.3, 1.0)
 """Seconds after the first command: one after the other, a period of the slowest mode of a beam apart."""
 QUICK_STEPS, STEPS = 8, 25
+JOINTS = ("drive.stiffness", "clamp.stiffness")
+"""Constants of which a rig's own may be as good as infinite."""
+RIGID = 2.0
+"""Sigmas of a free constant's prior above nominal from which a fit of such a joint begins, too."""
 
 
 @dataclass(frozen=True)
@@ -180,11 +184,17 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], share: tuple[f
             per_key[key] = per_key.get(key, 0) + 1
             starts.append((one,))
     starts += [pair for pair in pairs[: effort.pairs] if pair[0].gain > WORTH_A_FIT]
+    stiff = [c for c in pool if c.constant in JOINTS]
 
     def quick(start: tuple[Screened, ...]) -> Fit | None:
         return begun(predictor, parent, start, search.weighing)
 
     found: dict[Causes, Fit] = {}
+    for candidate, rigid in zip(stiff, predictor.pool.map(lambda c: _stiffened(search, parent, c), stiff), strict=True):
+        progress(f"tried {candidate.hypothesis.label}, rigid", share[0])
+        if rigid is not None:
+            search.keep(rigid)
+            found[rigid.key] = rigid
     for k, begun_fit in enumerate(predictor.pool.map(quick, starts)):
         progress(f"tried {' + '.join(s.candidate.hypothesis.label for s in starts[k])}",
                  share[0] + (share[1] - share[0]) * 0.6 * (k + 1) / len(starts))
@@ -210,6 +220,23 @@ def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened], weighing
         return fit(predictor, space, weighing, space.carried(parent.space, parent.x, first), parent.start,
                    parent.offset, jacobian=inherited(parent, space), parallel=False, renewals=0,
                    iterations=QUICK_STEPS, tolerance=0.5).light
+    return None
+
+
+def _stiffened(search: Selection, parent: Fit, candidate: Candidate) -> Fit | None:
+    """A parent's hypothesis with a joint's stiffness free, begun RIGID sigma of a free constant's prior above nominal.
+
+    A joint that hardly yields moves nothing that a fit could feel from where it yields too much.  The other constants
+    begin at nominal: what the parent bent to make up for the joint leads back to it.
+    """
+    space = parameters(search.predictor.data, parent.space.hypothesis + candidate.hypothesis,
+                       parent.space.values(parent.space.mean))
+    x = space.carried(parent.space, parent.x)
+    logs = RIGID * WIDE * np.array([path == candidate.constant for path in space.paths])
+    x[space.parts["constants"]] = np.linalg.solve(space.root, logs)
+    with suppress(*LOST):
+        return fit(search.predictor, space, search.weighing, x, parent.start, parent.offset, parallel=False,
+                   iterations=STEPS, tolerance=0.5).light
     return None
 
 
