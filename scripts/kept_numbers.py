@@ -28,7 +28,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from scripts import line_rates, measured_rig, plant_figures, thesis, thesis_model
+from scripts import line_rates, measured_rig, plant_figures, rattle, thesis, thesis_model
 
 ROOT = Path(__file__).resolve().parents[1]
 BLOCK = re.compile(r"^<!-- numbers: (?P<name>[\w.-]+)(?:; (?P<how>[^\n]+?))? -->\n(?P<text>.*?)^<!-- /numbers -->$",
@@ -88,6 +88,8 @@ def _own_effect() -> str:
     return f"```\npython scripts/own_effect.py\n{said}\n```"
 
 
+RUNS = {"pulse": "pulse, open loop", "p": "P", "lead": "lead", "lead_accel": "lead + accelerometer",
+        "sweep": "swept sine, P"}
 NEED_LOGS = {"thesis.bode", "thesis.pulse", "thesis.p", "thesis.lead", "thesis.lead_accel", "thesis.settling",
              "thesis.times", "thesis.extended"}
 MAKERS = {
@@ -107,6 +109,9 @@ MAKERS = {
     "thesis_model.after": Maker(_feedback_after, logs=True),
     "thesis_model.modes": Maker(thesis_model.feedback_modes),
     "firmware.rates": Maker(line_rates.table),
+    "thesis.above": Maker(lambda: rattle.shares({words: thesis.log(name) for name, words in RUNS.items()}), logs=True),
+    "thesis.multiples": Maker(lambda: f"{rattle.multiples(thesis.log('sweep'))}.", logs=True),
+    "thesis.rattle": Maker(lambda: rattle.tries(thesis.log("sweep")), logs=True, long=True),
     "own_effect.said": Maker(_own_effect),
     "results.sflr": Maker(lambda: _results("sflr"), logs=True, long=True),
     "results.xl330": Maker(lambda: _results("xl330"), logs=True, long=True),

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +28,7 @@ from station.model.simulate import build
 from station.rig import load_rig
 from station.runs import load_run
 from station.runs.run import Run
+from station.view.wording import number
 
 EDGE = 40.0
 RESONANCE = (9.5, 10.5)
@@ -99,6 +100,38 @@ def fitted(data: Dataset, effects: list[tuple[type, str]], sizes: Sizes, factors
     return (float(angle), float(acceleration)), space, x
 
 
+def shares(runs: Mapping[str, Run]) -> str:
+    """A table: of each run the share above EDGE, and the fit of what meets all below and nothing above."""
+    rows = [f"| run | of the variance above {EDGE:g} Hz | a simulation that met all below would fit by |",
+            "| --- | --- | --- |"]
+    for name, run in runs.items():
+        share = variance_above(run.accel, run.sample_rate)
+        rows.append(f"| {name} | {100 * share:.1f} % | {100 * (1 - share**0.5):.1f} % |")
+    return "\n".join(rows)
+
+
+def multiples(sweep: Run) -> str:
+    """A sentence: the amplitudes at the command's frequency and its multiples."""
+    return ", ".join(f"{amplitude:.1f} counts at {frequency:.0f} Hz" for frequency, amplitude in harmonics(sweep))
+
+
+def tries(sweep: Run) -> str:
+    """A table: how well the swept sine's whole loop is met."""
+    data = dataset(load_rig("sflr"), [sweep])
+    rows = ["| swept sine, constants free | angle | acceleration | drive's stiffness, times the rig file's | gap |",
+            "| --- | --- | --- | --- | --- |"]
+    for words, effects, sizes, factors in (
+            ("no cause", [], {}, {}), ("sublinear drag", [(DRAG, "motor")], {}, {}),
+            ("sublinear drag, a gap in a stiff drive", [(DRAG, "motor"), (PLAY, "drive")],
+             {("backlash", "drive"): {"gap": GAP}}, STIFF)):
+        (angle, acceleration), space, x = fitted(data, effects, sizes, factors)
+        stiffness = space.rig_at(x).constants()["drive.stiffness"] / data.rig.constants()["drive.stiffness"]
+        gap = space.values(x).get(("backlash", "drive"), {}).get("gap")
+        rows.append(f"| {words} | {angle:.1f} % | {acceleration:.1f} % | {number(stiffness)} | "
+                    f"{'' if gap is None else f'{1e3 * gap:.1f} mrad'} |")
+    return "\n".join(rows)
+
+
 def main() -> int:
     """Print what is measured."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -106,23 +139,9 @@ def main() -> int:
     paths = sorted((parser.parse_args().folder / "sflr").glob("*.txt"))
     if not paths:
         raise SystemExit("rattle: no logs there; name the folder that holds sflr/")
-    runs = [load_run(path) for path in paths]
-    for run in runs:
-        share = variance_above(run.accel, run.sample_rate)
-        print(f"{run.name[:40]:40} {100 * share:5.1f} % of the variance above {EDGE:g} Hz: a simulation that met all "
-              f"below would fit by {100 * (1 - share**0.5):.1f} %")
-    sweep = max(runs, key=len)
-    print("swept sine at its resonance:",
-          ", ".join(f"{amplitude:.1f} counts at {frequency:.0f} Hz" for frequency, amplitude in harmonics(sweep)))
-    data = dataset(load_rig("sflr"), [sweep])
-    tries = (("constants alone", [], {}, {}), ("with drag", [(DRAG, "motor")], {}, {}),
-             ("with drag and a gap in a stiff drive", [(DRAG, "motor"), (PLAY, "drive")],
-              {("backlash", "drive"): {"gap": GAP}}, STIFF))
-    for words, effects, sizes, factors in tries:
-        (angle, acceleration), space, x = fitted(data, effects, sizes, factors)
-        nominal, rig = data.rig.constants(), space.rig_at(x).constants()
-        print(f"{words}: angle {angle:.1f} %, acceleration {acceleration:.1f} %; drive stiffness "
-              f"{rig['drive.stiffness'] / nominal['drive.stiffness']:.3g} times nominal; {space.values(x)}")
+    runs = {path.stem[:24]: load_run(path) for path in paths}
+    sweep = max(runs.values(), key=len)
+    print(shares(runs), f"\nswept sine at its resonance: {multiples(sweep)}\n", tries(sweep), sep="\n")
     return 0
 
 
