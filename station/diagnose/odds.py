@@ -21,7 +21,7 @@ from station.diagnose.thresholds import BEYOND, CLOSE, FEW, VARIES
 from station.estimation.identifiability import parameter_states
 from station.estimation.least_squares import Fit
 from station.estimation.parameters import Causes, Key
-from station.estimation.spread import between_runs
+from station.estimation.spread import Spread, between_runs
 from station.model.units import UNITS
 
 RESAMPLES = 100
@@ -119,50 +119,55 @@ def is_beyond(search: Selection, found: Fit, key: Key) -> bool:
 def estimates(found: Fit, rougher: Fit | None = None) -> tuple[dict[Key, dict[str, Estimate]], dict[str, Estimate]]:
     """Fitted parameters of each cause, and the rig's constants, with 95 % intervals.
 
+    A cause's parameters are known no better than runs agree in them (``spread``).
     ``rougher``: the same set fitted with coarser simulations; how far it lies from ``found`` is what the simulation's
     own steps leave uncertain, and is added to the variance.
     """
     space, covariance = found.space, found.covariance
     shift = np.zeros(space.size) if rougher is None else found.x - rougher.x
-    deviations = np.sqrt(np.diag(covariance) + shift**2)
     found_states = parameter_states(space, covariance, found.x)
     n = len(space.paths)
     nominal = space.rig.constants()
     log_sd = np.sqrt(np.diag(space.root @ covariance[:n, :n] @ space.root.T) + (space.root @ shift[:n]) ** 2)
     constants = {}
-    accused = set(space.hypothesis.constants)
+    per_log = np.linalg.inv(space.root)
     for i, path in enumerate(space.paths):
-        value, spread = nominal[path] * math.exp(found.logs[i]), math.exp(1.96 * log_sd[i])
-        least, most = sorted((value / spread, value * spread))
+        value, deviation, between = nominal[path] * math.exp(found.logs[i]), log_sd[i], None
+        if path in space.hypothesis.constants:
+            seen = _between(found, np.append(per_log[:, i], np.zeros(space.size - n)))
+            own = space.root[i] @ seen.covariance[:n, :n] @ space.root[i]
+            deviation, between = math.hypot(math.sqrt(own), space.root[i] @ shift[:n]), _told(seen, value)
+        times = math.exp(1.96 * deviation)
+        least, most = sorted((value / times, value * times))
         constants[path] = Estimate(value=value, low=least, high=most, unit=UNITS[path],
-                                   state=found_states[i].state,
-                                   spread=_spread(found, np.linalg.inv(space.root)[:, i], value)
-                                   if path in accused else None)
+                                   state=found_states[i].state, spread=between)
     causes: dict[Key, dict[str, Estimate]] = {}
     for k, coordinate in enumerate(space.coordinates, space.parts["effects"].start):
         cls, at = space.hypothesis.effects[coordinate.effect]
-        low, value, high = (found.x[k] + s * 1.96 * deviations[k] for s in (-1.0, 0.0, 1.0))
+        seen = _between(found, np.eye(space.size)[k])
+        deviation = math.hypot(math.sqrt(seen.covariance[k, k]), shift[k])
+        low, value, high = (found.x[k] + s * 1.96 * deviation for s in (-1.0, 0.0, 1.0))
         ends = (coordinate.to_value(low), coordinate.to_value(value), coordinate.to_value(high))
         if coordinate.info.periodic and (high - low) * coordinate.scale >= 2.0 * math.pi:
             ends = (-math.pi, ends[1], math.pi)
         causes.setdefault((cls.name, at), {})[coordinate.name] = Estimate(
             value=float(ends[1]), low=float(ends[0]), high=float(ends[2]), unit=coordinate.info.unit,
             state=found_states[k].state,
-            spread=None if coordinate.info.periodic else
-            _spread(found, np.eye(space.size)[k], abs(ends[1]) if coordinate.log else coordinate.scale))
+            spread=None if coordinate.info.periodic else _told(seen, abs(ends[1]) if coordinate.log
+                                                               else coordinate.scale))
     for path in space.hypothesis.constants:
         causes[(f"parameter:{path}", "")] = {"value": constants[path]}
     return causes, constants
 
 
-def _spread(found: Fit, direction: np.ndarray, unit: float) -> float | None:
-    """Standard deviation of a parameter between runs, in the value's unit; None where nothing says that they differ.
-
-    ``direction``: of x, by which the parameter changes by ``unit``; constants' alone may be given.
-    """
+def _between(found: Fit, direction: np.ndarray) -> Spread:
+    """How the runs differ along a direction (p) of x; of fewer than three nothing is said."""
     if len(found.squares) < FEW:
-        return None
-    whole = np.zeros(found.space.size)
-    whole[: direction.size] = direction
-    seen = between_runs(found, whole)
+        return Spread(0.0, 0.0, found.covariance)
+    return between_runs(found, direction)
+
+
+def _told(seen: Spread, unit: float) -> float | None:
+    """The spread in the value's unit, where the runs say that they differ; ``unit``: the value's change per step of x.
+    """
     return float(seen.size * unit) if seen.gained > VARIES else None

@@ -8,7 +8,9 @@ optimum, u the parameter's direction, B = sum N_r + P with P the prior's precisi
     2 ln L(tau)/L(0) = sum_k w_k^2 tau^2/(1 + lambda_k tau^2) - ln(1 + lambda_k tau^2)
 
 lambda and Q M's eigenvalues and vectors, w = Q' v: the shared parameters integrated out (restricted likelihood,
-Harville, J. Am. Stat. Assoc. 72, 1977).  One linear step from the shared fit: sizes that enter by their logarithm give
+Harville, J. Am. Stat. Assoc. 72, 1977).  What the shared value is known by is then (B - C (D + I/tau^2)^-1 C')^-1,
+D = diag(u' N_r u): runs that differ say less of it than their rows (DerSimonian and Laird, Controlled Clinical Trials
+7, 1986).  One linear step from the shared fit: sizes that enter by their logarithm give
 the spread as a share of the value.
 """
 
@@ -29,10 +31,14 @@ TINIEST = 1e-4
 
 @dataclass(frozen=True)
 class Spread:
-    """Standard deviation between runs, in the direction's units, and 2 ln L gained by it over one common value."""
+    """How runs differ along a direction of x."""
 
     size: float
+    """Standard deviation between runs, in the direction's units."""
     gained: float
+    """2 ln L gained by it over one common value."""
+    covariance: np.ndarray
+    """(p, p) of the shared parameters, runs taken for draws of what the rig may be."""
 
 
 def between_runs(found: Fit, direction: np.ndarray) -> Spread:
@@ -43,7 +49,8 @@ def between_runs(found: Fit, direction: np.ndarray) -> Spread:
     force = gradients.sum(axis=0) - prior * (found.x - found.space.mean)
     coupled = normals @ direction
     solved = np.linalg.solve(shared, np.column_stack([coupled.T, force]))
-    matrix = np.diag(coupled @ direction) - coupled @ solved[:, :-1]
+    own = coupled @ direction
+    matrix = np.diag(own) - coupled @ solved[:, :-1]
     slope = gradients @ direction - coupled @ solved[:, -1]
     values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     values, along = np.maximum(values, 0.0), vectors.T @ slope
@@ -55,4 +62,8 @@ def between_runs(found: Fit, direction: np.ndarray) -> Spread:
 
     best = minimize_scalar(lambda s: -gained(s), bounds=(np.log(TINIEST), np.log(WIDEST)), method="bounded",
                            options={"xatol": 1e-4})
-    return Spread(float(np.exp(best.x)), -float(best.fun)) if best.fun < 0.0 else Spread(0.0, 0.0)
+    if best.fun >= 0.0:
+        return Spread(0.0, 0.0, np.linalg.inv(shared))
+    size = float(np.exp(best.x))
+    loosened = shared - coupled.T @ (coupled / (own + size**-2)[:, None])
+    return Spread(size, -float(best.fun), np.linalg.inv(loosened))

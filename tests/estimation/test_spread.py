@@ -61,6 +61,15 @@ def test_a_bias_that_differs_shows_its_size_and_friction_that_does_not_shows_non
     assert friction.gained < bias.gained / 3.0
 
 
+def test_a_shared_value_is_known_no_better_than_the_runs_agree_in_it() -> None:
+    offsets = np.array([-3.0, 5.0, 1.0, 7.0, -1.0, 4.0])
+    tight, wide = (found.space.coordinates[0].scale * np.sqrt(spreads(found)[0].covariance[k, k])
+                   for found in (fitted(each, [USUAL] * 6) for each in ([3.0] * 6, offsets))
+                   for k in (found.space.parts["effects"].start,))
+    assert wide > 3.0 * tight
+    assert wide == pytest.approx(offsets.std(ddof=1) / np.sqrt(6.0), rel=0.5)
+
+
 def test_friction_that_differs_shows_as_a_share_of_its_size() -> None:
     shares = np.array([0.6, 1.4, 0.8, 1.3, 1.0, 1.1])
     _, friction, _ = spreads(fitted([3.0] * 6, list(USUAL * shares)))
