@@ -36,7 +36,7 @@ BEGINNINGS = (0.1, 0.3, 1.0)
 QUICK_STEPS, STEPS = 8, 25
 JOINTS = ("drive.stiffness", "clamp.stiffness")
 """Constants of which a rig's own may be as good as infinite."""
-RIGID = 2.0
+RIGID = 3.0
 """Sigmas of a free constant's prior above nominal from which a fit of such a joint begins, too."""
 
 

@@ -244,8 +244,8 @@ class Run:
 
     def _spread(self) -> Run:
         """The same with a lost row after every row but the last."""
-        rows, ticks = np.arange(len(self)), np.arange(2 * len(self) - 1)
         run = self.filled()
+        rows, ticks = np.arange(len(run)), np.arange(2 * len(run) - 1)
         found = {name: np.interp(0.5 * ticks, rows, values) if name in BETWEEN or name in SENT else values[ticks // 2]
                  for name, values in run.columns().items()}
         for column in COLUMNS:

@@ -186,9 +186,9 @@ def test_a_view_with_no_rig_is_one_line_and_leaves_nothing(station, step, tmp_pa
 
 def test_a_view_of_a_run_of_another_rate_is_one_line(station, step, tmp_path):
     rig = tmp_path / "fast.toml"
-    rig.write_text(SFLR.replace("sample_rate = 500.0", "sample_rate = 1000.0"), encoding="utf-8")
+    rig.write_text(SFLR.replace("sample_rate = 500.0", "sample_rate = 800.0"), encoding="utf-8")
     ended = station("view", step, "--rig", rig, "--save", tmp_path / "out.rrd")
-    assert ended.status == 1 and "step: sampled at 500 Hz, rig sflr at 1000 Hz" in ended.one_line()
+    assert ended.status == 1 and "step: sampled at 500 Hz, rig sflr at 800 Hz" in ended.one_line()
     assert not (tmp_path / "out.rrd").exists()
 
 

@@ -279,10 +279,10 @@ def pair() -> list[Run]:
 
 
 def test_a_run_at_another_rate_is_refused(pair):
-    slow = changed(pair[1], t=2.0 * pair[1].t)
+    slow = changed(pair[1], t=2.5 * pair[1].t)
     with pytest.raises(WorkError) as refused:
         diagnose(SFLR_RIG, [pair[0], slow], effort="quick")
-    one_line(refused.value, slow.name, "250", "500")
+    one_line(refused.value, slow.name, "200", "500")
 
 
 def test_a_run_without_the_accelerometer_is_refused(pair):

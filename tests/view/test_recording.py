@@ -120,8 +120,8 @@ def test_the_rows_of_a_run_with_gaps_stay_on_their_ticks(tmp_path: Path) -> None
 
 def test_a_run_of_another_rate_is_refused_and_leaves_no_file(tmp_path: Path) -> None:
     run = made.comparisons()[0].run
-    with pytest.raises(WorkError, match=r"step-kp2: sampled at 250 Hz, rig sflr at 500 Hz"):
-        write_recording(tmp_path / "x.rrd", [replace(run, t=2.0 * run.t)], RIG)
+    with pytest.raises(WorkError, match=r"step-kp2: sampled at 200 Hz, rig sflr at 500 Hz"):
+        write_recording(tmp_path / "x.rrd", [replace(run, t=2.5 * run.t)], RIG)
     assert list(tmp_path.iterdir()) == []
 
 
