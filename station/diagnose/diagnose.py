@@ -90,7 +90,8 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     names = [run.name for run in runs]
     ahead = (predicted_ahead(predictor, nothing, nominal=True), predicted_ahead(predictor, left_out[said.causes]))
     bought = gain(data, names, before, after, ahead)
-    helped = unseen_gain(left_out[frozenset()], left_out[said.causes]) if said.causes else None
+    helped = (unseen_gain(search.weighing, left_out[frozenset()], left_out[said.causes])
+              if said.causes else None)
     left = remainder(predictor, best)
     values, constants = estimates(best, chosen)
     known = standing(data, said.causes, best.space.rig_at(best.x))
@@ -205,7 +206,7 @@ def _ranking(search: Selection, found: Odds, left_out: dict[Causes, list[Fit]]) 
             rows.append(RankedCause(key[0], key[1], found.causes.get(key, 0.0), 0.0, None, {}, "by an equivalence"))
             continue
         fitted = search.fits[holders[0]]
-        gained = (unseen_gain(left_out[frozenset()], left_out[holders[0]])
+        gained = (unseen_gain(search.weighing, left_out[frozenset()], left_out[holders[0]])
                   if holders[0] in left_out and holders[0] else None)
         bought = 2.0 * (fitted.log_evidence(search.weighing) - nothing.log_evidence(search.weighing))
         rows.append(RankedCause(key[0], key[1], found.causes.get(key, 0.0), bought, gained,

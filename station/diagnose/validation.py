@@ -12,7 +12,7 @@ from station.diagnose.measures import floor, nrmse, step_measures
 from station.diagnose.result import ChannelGain, Gain, RunGain
 from station.estimation.dataset import Dataset
 from station.estimation.least_squares import LOST, OFFSET_STEP, Fit, fit
-from station.estimation.likelihood import Weighing, nuisance_precision
+from station.estimation.likelihood import Weighing, nuisance_precision, rho
 from station.estimation.observer import observers
 from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor, angle_that_reads, predict_run
@@ -129,14 +129,20 @@ def predicted_ahead(predictor: Predictor, fits: Sequence[Fit] | Fit, nominal: bo
     return list(predictor.pool.map(one, range(len(data.runs))))
 
 
-def unseen_gain(without: Sequence[Fit], found: Sequence[Fit]) -> float:
+def unseen_gain(weighing: Weighing, without: Sequence[Fit], found: Sequence[Fit]) -> float:
     """By how much causes lower the errors of unseen runs: a share, of fits that leave run after run out.
 
-    The geometric mean over the blocks (all horizons and channels), as the likelihood sees them.
+    1 - exp(-gain per independent error), where the gain is that of the log likelihood of the runs left out (the
+    expected log predictive density of Vehtari, Gelman and Gabry, Stat. Comput. 27, 2017; ``likelihood``'s, before it
+    is tempered): beyond the noise the geometric mean over blocks, each by the independent errors that it holds.
     """
-    logs = [0.5 * np.log(np.maximum(before.squares[r], 1e-12) / np.maximum(after.squares[r], 1e-12))
-            for r, (before, after) in enumerate(zip(without, found, strict=True))]
-    return float(1.0 - np.exp(-np.mean(logs)))
+    gained = total = 0.0
+    for r, (before, after) in enumerate(zip(without, found, strict=True)):
+        independent = weighing.independent[r]
+        old, new = (rho(fitted.squares[r] / fitted.counts[r]) for fitted in (before, after))
+        gained += 0.5 * float(independent @ (old - new))
+        total += float(independent.sum())
+    return -math.expm1(-gained / max(total, 1e-300))
 
 
 def gain(data: Dataset, names: Sequence[str], before: Sequence[Simulation], after: Sequence[Simulation],

@@ -75,6 +75,8 @@ class Fit:
     """-2 ln of likelihood (tempered) times priors."""
     squares: np.ndarray
     """(runs, b) sums of squared scaled errors."""
+    counts: np.ndarray
+    """(runs, b) independent errors of the sensors."""
     residuals: list[np.ndarray]
     """Per run (b, n), scaled."""
     predicted: list[np.ndarray]
@@ -346,7 +348,7 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
             break
         jac, fresh, renewals = descent.jacobian(here), True, renewals - 1
     return Fit(space, here.x, here.start, here.offset, descent.away(here.start, here.offset), here.objective,
-               here.squares, here.residuals, here.predicted, jac, descent.information(here, jac), weighing,
+               here.squares, descent.counts, here.residuals, here.predicted, jac, descent.information(here, jac), weighing,
                descent.nuisance, data.segment_run)
 
 

@@ -12,17 +12,30 @@ from station.diagnose import validation as module
 from station.diagnose.validation import leave_each_out, unseen_gain
 
 
+EVEN = SimpleNamespace(independent=np.ones((2, 2)))
+"""One independent error in each block of two runs."""
+
+
 def fits(*squares: list[list[float]]) -> list[SimpleNamespace]:
-    return [SimpleNamespace(squares=np.array(rows)) for rows in squares]
+    """Fits that leave one run after the other out; the noise alone would leave 1 in each block."""
+    return [SimpleNamespace(squares=np.array(rows), counts=np.ones((2, 2))) for rows in squares]
 
 
 def test_a_gain_is_the_mean_over_blocks_of_errors_on_the_run_that_each_fit_left_out() -> None:
     """Half the error in one run and the same in the other: 1 - 2^(-1/2); what the fits saw does not count."""
     before = fits([[4.0, 4.0], [0.0, 0.0]], [[0.0, 0.0], [9.0, 9.0]])
     after = fits([[1.0, 1.0], [77.0, 77.0]], [[77.0, 77.0], [9.0, 9.0]])
-    assert unseen_gain(before, after) == pytest.approx(1.0 - 0.5**0.5)
-    assert unseen_gain(after, before) == pytest.approx(1.0 - 2.0**0.5)
-    assert unseen_gain(before, before) == 0.0
+    assert unseen_gain(EVEN, before, after) == pytest.approx(1.0 - 0.5**0.5)
+    assert unseen_gain(EVEN, after, before) == pytest.approx(1.0 - 2.0**0.5)
+    assert unseen_gain(EVEN, before, before) == 0.0
+
+
+def test_a_block_counts_for_the_independent_errors_that_it_holds() -> None:
+    """An error that is halved in ninety independent readings outweighs one that doubles in ten."""
+    weighing = SimpleNamespace(independent=np.array([[90.0, 10.0], [0.0, 0.0]]))
+    before = fits([[4.0, 4.0], [1.0, 1.0]], [[1.0, 1.0], [1.0, 1.0]])
+    after = fits([[1.0, 16.0], [1.0, 1.0]], [[1.0, 1.0], [1.0, 1.0]])
+    assert unseen_gain(weighing, before, after) == pytest.approx(1.0 - 2.0**-0.8)
 
 
 def test_every_run_is_left_out_once_from_where_the_fit_of_all_ended(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,12 +13,22 @@ import subprocess
 import threading
 import time
 from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
 from urllib.parse import urlsplit
 
+import numpy as np
 import psutil
 import pytest
 
+from station.control.compensators import Compensator
+from station.control.named import NAMED
+from station.control.references import step
+from station.device.port import open_port
+from station.loop.run_test import run_test
 from station.rig import load_rig
+from station.runs.blueprint import COLOURS
+from station.runs.mcap_log import McapLogWriter
 from station.view import viewer
 from station.view.recording import write_recording
 from station.view.web import LOOPBACK, serve_page
@@ -66,27 +76,38 @@ def outside() -> Iterator[Outside]:
     proxy.close()
 
 
-@pytest.fixture(scope="module")
-def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[subprocess.Popen[bytes], int, int]]:
-    """Rerun's server with a recording: the process, the port of its page and that of its data."""
-    folder = tmp_path_factory.mktemp("served")
-    recording = folder / "two.rrd"
-    write_recording(recording, made.comparisons()[:2], RIG)
+@contextlib.contextmanager
+def serving(*files: Path) -> Iterator[tuple[subprocess.Popen[bytes], int, int]]:
+    """Rerun's server with files: the process, the port of its page and that of its data."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(viewer.platformdirs, "user_config_dir", lambda *_, **__: str(folder / "settings"))
+        patch.setattr(viewer.platformdirs, "user_config_dir", lambda *_, **__: str(files[0].parent / "settings"))
         page, data = viewer.free_port(), viewer.free_port()
-        process = viewer.start(["--serve-web", "--web-viewer-port", str(page), str(recording)], data)
+        process = viewer.start(["--serve-web", "--web-viewer-port", str(page), *map(str, files)], data)
     yield process, page, data
     process.kill()
     process.wait()
 
 
-def colours(picture: bytes) -> int:
-    """How many colours a picture has."""
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[subprocess.Popen[bytes], int, int]]:
+    """The server with a recording."""
+    recording = tmp_path_factory.mktemp("served") / "two.rrd"
+    write_recording(recording, made.comparisons()[:2], RIG)
+    with serving(recording) as running:
+        yield running
+
+
+def pixels(picture: bytes) -> np.ndarray:
+    """A picture's colours as whole numbers, 0xRRGGBB."""
     from matplotlib.image import imread
 
-    pixels = (imread(io.BytesIO(picture), format="png")[..., :3] * 255.0).round().astype(int)
-    return len(set((pixels[..., 0] << 16 | pixels[..., 1] << 8 | pixels[..., 2]).ravel().tolist()))
+    found = (imread(io.BytesIO(picture), format="png")[..., :3] * 255.0).round().astype(int)
+    return found[..., 0] << 16 | found[..., 1] << 8 | found[..., 2]
+
+
+def colours(picture: bytes) -> int:
+    """How many colours a picture has."""
+    return len(np.unique(pixels(picture)))
 
 
 def test_a_picture_of_one_colour_counts_as_blank():
@@ -119,6 +140,26 @@ def test_the_viewer_draws_the_recording_and_nothing_leaves_this_machine(served, 
     assert any("ReadMessages" in url for url in answered)       # the recording's own server was asked
     assert refused, "Rerun's viewer asked nobody: the policy was not put to the test"
     assert outside.hosts == set()
+
+
+def test_a_log_is_drawn_in_its_blueprints_colours(tmp_path):
+    """What `rerun RUN.mcap RUN.rbl` shows: a line of its own for each column, which the log alone does not have."""
+    log = tmp_path / "log.mcap"
+    compensator = Compensator.from_spec(NAMED["lead"], RIG.sample_rate, RIG.command_limit)
+    with open_port("sim://sflr?noise=1&seed=1") as port:
+        run_test(port, RIG, compensator, step(RIG.sample_rate), log_sink=partial(McapLogWriter, log))
+    wanted = {COLOURS[column] >> 8 for column in ("encoder", "command", "accel", "latency")}
+    lines: set[int] = set()
+    with serving(log, log.with_suffix(".rbl")) as (_, page, data), serve_page(page, data) as address, \
+            chromium(SOFTWARE_GL) as browser:
+        tab = browser.new_page(viewport={"width": 1000, "height": 800})
+        tab.goto(f"{address}&renderer=webgl")
+        canvas = tab.wait_for_selector("canvas.visible", timeout=1e3 * DRAWN_WITHIN)
+        until = time.monotonic() + DRAWN_WITHIN
+        while not wanted <= lines and time.monotonic() < until:
+            tab.wait_for_timeout(2000)
+            lines = set(np.unique(pixels(canvas.screenshot(timeout=120_000))).tolist())
+    assert wanted <= lines
 
 
 def test_reruns_own_page_does_ask_outside(served, outside):
