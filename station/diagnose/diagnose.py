@@ -84,7 +84,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     left_out = {said.causes: leave_each_out(predictor, search.weighing, best)}
     left_out.setdefault(frozenset(), leave_each_out(predictor, search.weighing, nothing))
     zero = np.zeros(nothing.space.size)
-    before = simulate_runs(data, nothing.space, zero, data.start, data.offset)
+    before = simulate_runs(data, nothing.space, zero, data.own)
     refit = simulate_unseen(predictor, left_out[frozenset()])
     after = simulate_unseen(predictor, left_out[said.causes]) if said.causes else refit
     names = [run.name for run in runs]
@@ -222,7 +222,7 @@ def _disturbance(predictor: Predictor, rigs: Sequence[Rig]) -> Disturbance:
     def share(rig: Rig) -> float:
         model, missing, command = build(rig, *SEARCH[:2]), 0.0, 0.0
         for r, run in enumerate(data.runs):
-            torque = predict_run(data, model, observer, r, data.start[r], data.offset[r])[1]
+            torque = predict_run(data, model, observer, r, data.own[r])[1]
             missing, command = missing + float(torque @ torque), command + float(run.command @ run.command)
         return float(np.sqrt(missing / max(command, 1e-300)))
     nominal, refitted, extended = predictor.pool.map(share, rigs)

@@ -67,12 +67,23 @@ class Selection:
     fits: dict[Causes, Fit] = field(default_factory=dict)
     screened: list[Screened] = field(default_factory=list)
     """Of the first rung."""
+    _scores: dict[int, tuple[Fit, Weighing, Weighing, float]] = field(default_factory=dict)
 
     def score(self, found: Fit, drawn: np.ndarray | None = None) -> float:
-        """Log posterior of a set of causes, up to a constant; ``drawn``: of resampled stretches."""
+        """Log posterior of a set of causes, up to a constant; ``drawn``: of resampled stretches.
+
+        How much runs differ is each set's own: what is most likely of all data.
+        """
+        known = self._scores.get(id(found))
+        if known is None or known[0] is not found or known[1] is not self.weighing:
+            own = replace(self.weighing, differ=found.most_likely_differ(self.weighing))
+            known = self._scores[id(found)] = (found, self.weighing, own, self._score(found, own))
+        return known[3] if drawn is None else self._score(found, known[2], drawn)
+
+    def _score(self, found: Fit, weighing: Weighing, drawn: np.ndarray | None = None) -> float:
         hypothesis = found.space.hypothesis
         further = sum(len(cls.parameters()) - 1 for cls, _ in hypothesis.effects) + found.space.zeros
-        score = (found.log_evidence(self.weighing, drawn) + LOG_PRIOR * len(hypothesis.causes)
+        score = (found.log_evidence(weighing, drawn) + LOG_PRIOR * len(hypothesis.causes)
                  + LOG_PRIOR_PARAMETER * further + self._clock_score(hypothesis))
         return score if np.isfinite(score) else -np.inf
 
@@ -103,7 +114,7 @@ def settled(predictor: Predictor, found: Fit, rounds: int = 4) -> Fit:
     for _ in range(rounds):
         before = found.weighing
         now = weighing_of(predictor, found)
-        found = fit(predictor, found.space, now, found.x, found.start, found.offset)
+        found = fit(predictor, found.space, now, found.x, found.own)
         if np.all(np.abs(np.log(now.independent / before.independent)) < SETTLED_SHARE):
             break
     return found
@@ -119,15 +130,15 @@ def base_fit(predictor: Predictor) -> Fit:
     data = predictor.data
     space = parameters(data, Hypothesis(), {})
     first = Weighing(BEGIN * block_counts(data, predictor.channel), 1.0)
-    x, start, offset = space.mean, data.start, data.offset
+    x, own = space.mean, data.own
     found = [fit(predictor, space, first, x, tolerance=1.0)]
     with suppress(*LOST):
         for seconds in BEGINNINGS:
             part = replace(predictor, data=beginning(data, seconds))
-            begun = fit(part, space, Weighing(BEGIN * block_counts(part.data, part.channel), 1.0), x, start, offset,
+            begun = fit(part, space, Weighing(BEGIN * block_counts(part.data, part.channel), 1.0), x, own,
                         tolerance=1.0, iterations=12)
-            x, start, offset = begun.x, begun.start, begun.offset
-        found.append(fit(predictor, space, first, x, start, offset, tolerance=1.0))
+            x, own = begun.x, begun.own
+        found.append(fit(predictor, space, first, x, own, tolerance=1.0))
     return settled(predictor, min(found, key=lambda f: f.objective))
 
 
@@ -162,7 +173,7 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
 
 def _with_derivatives(search: Selection, found: Fit) -> Fit:
     """The same set, fitted under the weighing in force, with derivatives to hand on."""
-    again = fit(search.predictor, found.space, search.weighing, found.x, found.start, found.offset)
+    again = fit(search.predictor, found.space, search.weighing, found.x, found.own)
     search.keep(again)
     return again
 
@@ -217,8 +228,8 @@ def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened], weighing
                                       {**first, **one.start})
     space = parameters(predictor.data, hypothesis, centres)
     with suppress(*LOST):
-        return fit(predictor, space, weighing, space.carried(parent.space, parent.x, first), parent.start,
-                   parent.offset, jacobian=inherited(parent, space), parallel=False, renewals=0,
+        return fit(predictor, space, weighing, space.carried(parent.space, parent.x, first), parent.own,
+                   jacobian=inherited(parent, space), parallel=False, renewals=0,
                    iterations=QUICK_STEPS, tolerance=0.5).light
     return None
 
@@ -235,7 +246,7 @@ def _stiffened(search: Selection, parent: Fit, candidate: Candidate) -> Fit | No
     logs = RIGID * WIDE * np.array([path == candidate.constant for path in space.paths])
     x[space.parts["constants"]] = np.linalg.solve(space.root, logs)
     with suppress(*LOST):
-        return fit(search.predictor, space, search.weighing, x, parent.start, parent.offset, parallel=False,
+        return fit(search.predictor, space, search.weighing, x, parent.own, parallel=False,
                    iterations=STEPS, tolerance=0.5).light
     return None
 
@@ -245,7 +256,7 @@ def _refit(search: Selection, fits: Iterable[Fit], weighing: Weighing,
     """Fit sets to the end under a weighing, side by side."""
     def again(found: Fit) -> Fit | None:
         with suppress(*LOST):
-            return fit(search.predictor, found.space, weighing, found.x, found.start, found.offset, parallel=False,
+            return fit(search.predictor, found.space, weighing, found.x, found.own, parallel=False,
                        iterations=STEPS, renewals=4, tolerance=0.2).light
         return None
 
@@ -272,8 +283,8 @@ def _reduced(search: Selection, found: Fit, causes: Causes) -> Fit | None:
     centres: Sizes = {k: v for k, v in found.space.values(found.space.mean).items() if k in causes}
     space = parameters(search.predictor.data, hypothesis, centres)
     with suppress(*LOST):
-        return fit(search.predictor, space, search.weighing, space.carried(found.space, found.x), found.start,
-                   found.offset, parallel=False, iterations=STEPS, renewals=4, tolerance=0.2).light
+        return fit(search.predictor, space, search.weighing, space.carried(found.space, found.x), found.own,
+                   parallel=False, iterations=STEPS, renewals=4, tolerance=0.2).light
     return None
 
 
@@ -302,5 +313,5 @@ def _finish(search: Selection) -> None:
 def refined(search: Selection, found: Fit) -> Fit:
     """A fit brought to its very end with finer simulations: values are stated from it."""
     finer = replace(search.predictor, accuracy=FINE)
-    return fit(finer, found.space, search.weighing, found.x, found.start, found.offset, iterations=12, tolerance=0.02,
+    return fit(finer, found.space, search.weighing, found.x, found.own, iterations=12, tolerance=0.02,
                renewals=4)

@@ -6,6 +6,7 @@ import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -68,6 +69,26 @@ class Dataset:
     def has_accel(self) -> bool:
         """Whether the accelerometer is among the channels."""
         return self.channels == 2
+
+    @property
+    def own(self) -> np.ndarray:
+        """(runs, 4) what each run has of its own, before a fit.
+
+        Starting angle (rad), the accelerometer's offset (counts), and what the motor does more than the rig says: a
+        share of the command, and a constant (counts of command).
+        """
+        none = np.zeros(len(self.runs))
+        return np.stack([self.start, self.offset, none, none], axis=1)
+
+    @cached_property
+    def free(self) -> np.ndarray:
+        """(c) the columns of ``own`` that a fit moves."""
+        return np.array([0, 1, 2, 3] if self.has_accel else [0, 2, 3])
+
+    @cached_property
+    def rms_command(self) -> float:
+        """Of all runs, counts."""
+        return float(np.sqrt(np.mean(np.concatenate([run.command for run in self.runs]) ** 2)))
 
     @property
     def sigma(self) -> np.ndarray:
