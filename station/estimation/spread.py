@@ -16,12 +16,13 @@ the spread as a share of the value.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from station.estimation.least_squares import Fit
+from station.estimation.likelihood import Weighing
 
 WIDEST = 10.0
 """Largest spread that is tried, in units of the parameter: ten times the value, or ten usual sizes."""
