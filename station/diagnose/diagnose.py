@@ -17,6 +17,7 @@ from station.diagnose.measures import floor, nrmse, step_measures
 from station.diagnose.odds import Odds, estimates, odds
 from station.diagnose.remainder import Remainder, remainder
 from station.diagnose.result import (
+    BetweenRuns,
     Cause,
     Diagnosis,
     DiagnosisResult,
@@ -28,7 +29,7 @@ from station.diagnose.result import (
     Wrong,
 )
 from station.diagnose.selection import EFFORTS, Selection, fitted, refined, select
-from station.diagnose.thresholds import FEW, NOISE
+from station.diagnose.thresholds import FEW, NOISE, VARIES
 from station.diagnose.validation import (
     gain,
     leave_each_out,
@@ -44,6 +45,7 @@ from station.estimation.least_squares import Fit
 from station.estimation.observer import observers
 from station.estimation.parameters import Causes, Key
 from station.estimation.prediction import SEARCH, Predictor, predict_run
+from station.estimation.spread import differences
 from station.model.simulate import Simulation, build
 from station.pictures.evidence import evidence
 from station.rig import Rig
@@ -110,10 +112,13 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     choice = choose(search, found, decision)
     decided = decision in ("explained", "nothing_missing") and len(given) >= FEW
     ranking = _ranking(search, told, left_out)
+    share, constant = differences(chosen, search.weighing, VARIES)
+    between = BetweenRuns(share=share, constant=constant)
     diagnosis = Diagnosis(
         verdict=decision, wrong=_wrong(runs, before, data.noise), causes=causes, gain=bought,
         next_experiment=with_word(None if decided else choice.next, decision, told, said.causes, known),
-        disturbance=_disturbance(predictor, [data.rig, refit_rig, extended]), rig=rig.name, effort=effort,
+        disturbance=_disturbance(predictor, [data.rig, refit_rig, extended]), between_runs=between, rig=rig.name,
+        effort=effort,
         runs=[RunFile(run=run.name) for run in given],
         ranking=[Ranked(effect=r.effect, at=r.at, probability=min(r.probability, 1.0), note=r.note) for r in ranking])
     drawn = runs[:1] if windows else [run for run, warm in zip(runs, data.warm, strict=True) if not warm]
@@ -208,7 +213,7 @@ def _ranking(search: Selection, found: Odds, left_out: dict[Causes, list[Fit]]) 
         fitted = search.fits[holders[0]]
         gained = (unseen_gain(search.weighing, left_out[frozenset()], left_out[holders[0]])
                   if holders[0] in left_out and holders[0] else None)
-        bought = 2.0 * (fitted.log_evidence(search.weighing) - nothing.log_evidence(search.weighing))
+        bought = 2.0 * (search.evidence(fitted) - search.evidence(nothing))
         rows.append(RankedCause(key[0], key[1], found.causes.get(key, 0.0), bought, gained,
                                 estimates(fitted)[0].get(key, {}),
                                 note="" if len(holders[0]) == 1 else f"as part of {fitted.space.hypothesis.label}"))

@@ -67,23 +67,24 @@ class Selection:
     fits: dict[Causes, Fit] = field(default_factory=dict)
     screened: list[Screened] = field(default_factory=list)
     """Of the first rung."""
-    _scores: dict[int, tuple[Fit, Weighing, Weighing, float]] = field(default_factory=dict)
+    _weighed: dict[int, tuple[Fit, Weighing, Weighing, float]] = field(default_factory=dict)
 
-    def score(self, found: Fit, drawn: np.ndarray | None = None) -> float:
-        """Log posterior of a set of causes, up to a constant; ``drawn``: of resampled stretches.
+    def evidence(self, found: Fit, drawn: np.ndarray | None = None) -> float:
+        """Log evidence of a set of causes, up to a constant; ``drawn``: of resampled stretches.
 
         How much runs differ is each set's own: what is most likely of all data.
         """
-        known = self._scores.get(id(found))
+        known = self._weighed.get(id(found))
         if known is None or known[0] is not found or known[1] is not self.weighing:
             own = replace(self.weighing, differ=found.most_likely_differ(self.weighing))
-            known = self._scores[id(found)] = (found, self.weighing, own, self._score(found, own))
-        return known[3] if drawn is None else self._score(found, known[2], drawn)
+            known = self._weighed[id(found)] = (found, self.weighing, own, found.log_evidence(own))
+        return known[3] if drawn is None else found.log_evidence(known[2], drawn)
 
-    def _score(self, found: Fit, weighing: Weighing, drawn: np.ndarray | None = None) -> float:
+    def score(self, found: Fit, drawn: np.ndarray | None = None) -> float:
+        """Log posterior of a set of causes, up to a constant; ``drawn``: of resampled stretches."""
         hypothesis = found.space.hypothesis
         further = sum(len(cls.parameters()) - 1 for cls, _ in hypothesis.effects) + found.space.zeros
-        score = (found.log_evidence(weighing, drawn) + LOG_PRIOR * len(hypothesis.causes)
+        score = (self.evidence(found, drawn) + LOG_PRIOR * len(hypothesis.causes)
                  + LOG_PRIOR_PARAMETER * further + self._clock_score(hypothesis))
         return score if np.isfinite(score) else -np.inf
 

@@ -27,8 +27,8 @@ WARM = 1.0
 FIRST = 0.02
 """Seconds that tell whether a run begins in motion: too few for a command to move much."""
 RIGIDITY = 0.015
-"""Sigma of each harmonic of a beam's rigidity along its length, where the rig file says nothing: the cube of a thickness
-that varies by half a percent, as cold rolled steel strip does within its tolerances (EN 10140)."""
+"""Sigma of each harmonic of a beam's rigidity along its length, where the rig file says nothing: the cube of a
+thickness that varies within a piece by half a percent (between pieces cold rolled strip may by several: EN 10140)."""
 UNROUNDED = 0.3
 """Noise of an encoder, counts, from which on its rounding errors are independent from sample to sample (Widrow)."""
 

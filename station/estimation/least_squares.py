@@ -1,8 +1,9 @@
 """Fitting one hypothesis: Levenberg-Marquardt with priors, per-run nuisances eliminated.
 
 With errors e, Jacobian J and weights W = N/max(S, n)/T of the blocks (see ``likelihood``), a run adds the normal matrix
-J'WJ and the gradient J'We; what each run has of its own is eliminated from both (Schur's complement).  Derivatives may be handed over from a neighbouring hypothesis; after each step they are corrected by what
-the step did (Broyden 1965), and computed afresh where that does not lead on.
+J'WJ and the gradient J'We; what each run has of its own is eliminated from both (Schur's complement).  Derivatives may
+be handed over from a neighbouring hypothesis; after each step they are corrected by what the step did (Broyden 1965),
+and computed afresh where that does not lead on.
 """
 
 from __future__ import annotations
@@ -396,9 +397,9 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
         if renewals <= 0 or (gain < tolerance and fresh) or (gain < tolerance and found is not None and ratio > POOR):
             break
         jac, fresh, renewals = descent.jacobian(here), True, renewals - 1
-    return Fit(space, here.x, here.own, descent.away(here.own), here.objective,
-               here.squares, descent.counts, here.residuals, here.predicted, jac, descent.information(here, jac), weighing,
-               descent.nuisance, data.rms_command, data.segment_run)
+    return Fit(space, here.x, here.own, descent.away(here.own), here.objective, here.squares, descent.counts,
+               here.residuals, here.predicted, jac, descent.information(here, jac), weighing, descent.nuisance,
+               data.rms_command, data.segment_run)
 
 
 def _broyden(jac: list[np.ndarray], old: _Point, new: _Point, descent: _Descent) -> None:
