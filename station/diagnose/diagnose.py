@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from station.diagnose.equivalences import completed, rivals, standing, with_word
 from station.diagnose.experiment import choose
 from station.diagnose.measures import floor, nrmse, step_measures
-from station.diagnose.odds import Odds, estimates, odds
+from station.diagnose.odds import Odds, by_law, estimates, odds
 from station.diagnose.remainder import Remainder, remainder
 from station.diagnose.result import (
     BetweenRuns,
@@ -77,9 +77,10 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     search = select(predictor, EFFORTS[effort], report)
     report("drawing the data again", 0.88)
     found = odds(search)
-    said = stated(found)
+    spoken = by_law(found)
+    said = stated(spoken)
     nothing = search.fits[frozenset()]
-    chosen = fitted(search, said.causes, found.sets[0][0])
+    chosen = fitted(search, said.causes, spoken.sets[0][0])
     said = replace(said, causes=chosen.key)
     best = refined(search, chosen)
     report("judging on runs left out", 0.92)
@@ -101,8 +102,10 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     decision = verdict(said, told, search.screened, left.is_noise, helped, known)
     causes = []
     if decision in ("explained", "partly_explained", "ambiguous"):
+        laws = {key: spoken.causes[key] for key in said.causes if spoken.causes[key] != found.causes.get(key)}
+        told = replace(told, causes={**told.causes, **laws})
         causes = [Cause(effect=key[0], at=key[1], probability=min(told.causes[key], 1.0), parameters=values[key],
-                        stability=min(told.stability.get(key, 0.0), 1.0),
+                        stability=min(spoken.stability.get(key, 0.0), 1.0),
                         rivals=rivals(told, said.causes, key, known)) for key in _in_order(search, said.causes, told)]
     extended = best.space.rig_at(best.x) if causes else nothing.space.rig_at(nothing.x)
     refit_rig = nothing.space.rig_at(nothing.x)
@@ -125,7 +128,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     pictures = evidence(refit_rig, extended, drawn, [(c.effect, c.at) for c in causes]) if drawn else []
     report("done", 1.0)
     return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, ranking, pictures, constants,
-                           _notes(rig, search, left, said, found), 0.0, choice.plan, choice.unseen, choice.prediction,
+                           _notes(rig, search, left, said, spoken), 0.0, choice.plan, choice.unseen, choice.prediction,
                            [row.equivalence.sentence for row in known] if causes else [])
 
 
@@ -234,16 +237,16 @@ def _disturbance(predictor: Predictor, rigs: Sequence[Rig]) -> Disturbance:
     return Disturbance(nominal=nominal, refitted=refitted, extended=extended)
 
 
-def _notes(rig: Rig, search: Selection, left: Remainder, said: Stated, found: Odds) -> list[str]:
+def _notes(rig: Rig, search: Selection, left: Remainder, said: Stated, spoken: Odds) -> list[str]:
     data = search.predictor.data
     notes = [f"{len(search.fits)} sets of causes fitted to {len(data.runs)} runs",
              f"noise at rest: encoder {data.noise[0]:.2f}, accelerometer {data.noise[1]:.2f} counts",
              f"temperature of the likelihood: {search.weighing.temperature:.2f}; independent errors: "
              f"{search.weighing.independent.sum():.0f} of {data.counts.sum():.0f}"]
-    unstable = sorted(found.sets[0][0] - said.causes)
+    unstable = sorted(spoken.sets[0][0] - said.causes)
     if unstable:
         notes.append("in the best set but not stated, for too few resamples name them: "
-                     + ", ".join(f"{n}{f' at {at}' if at else ''} ({found.stability.get((n, at), 0.0):.2f})"
+                     + ", ".join(f"{n}{f' at {at}' if at else ''} ({spoken.stability.get((n, at), 0.0):.2f})"
                                  for n, at in unstable))
     if rig.beam is not None and data.rig.beam.elements != rig.beam.elements:
         notes.append(f"simulated with {data.rig.beam.elements} beam elements; with the {rig.beam.elements} of the "

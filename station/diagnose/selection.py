@@ -7,7 +7,7 @@ off the best set and is the same for all sets that are compared; with it the sco
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
@@ -27,7 +27,7 @@ from station.estimation.least_squares import LOST, Fit, fit, inherited, weighing
 from station.estimation.likelihood import Weighing, block_counts
 from station.estimation.parameters import WIDE, Causes, Hypothesis, Key, Sizes, parameters
 from station.estimation.prediction import FINE, Predictor
-from station.model.effects import Stage
+from station.model.effects import Effect, Stage
 
 BEGIN = 0.02
 """Share of all samples that count as independent before anything is known of the errors."""
@@ -166,6 +166,7 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
         search.weigh(best)
         search.keep(best)
         _look_back(search, best)
+        _look_around(search, best, pool)
         parent = _with_derivatives(search, search.best())
     progress("fitting rivals as far as the best", 0.82)
     _finish(search)
@@ -273,6 +274,29 @@ def _look_back(search: Selection, found: Fit) -> None:
                                          found.space.hypothesis.causes):
         if one is not None:
             search.keep(one)
+
+
+def _look_around(search: Selection, found: Fit, pool: Sequence[Candidate]) -> None:
+    """Fit every set with one effect at another of its places, from where it ended: where parts hardly move against each
+    other the same law at another place does nearly the same."""
+    moves = [(old, new) for old in found.space.hypothesis.effects for new in pool
+             if new.effect is old[0] and new.key not in found.key]
+    for one in search.predictor.pool.map(lambda move: _moved(search, found, *move), moves):
+        if one is not None:
+            search.keep(one)
+
+
+def _moved(search: Selection, found: Fit, old: tuple[type[Effect], str], new: Candidate) -> Fit | None:
+    """A set with one effect at another place and its sizes the same; None where that does not simulate."""
+    key = (old[0].name, old[1])
+    hypothesis = found.space.hypothesis.without(key) + new.hypothesis
+    centres, sizes = found.space.values(found.space.mean), found.space.values(found.x)
+    space = parameters(search.predictor.data, hypothesis, {**centres, new.key: centres[key]})
+    with suppress(*LOST):
+        return fit(search.predictor, space, search.weighing,
+                   space.carried(found.space, found.x, {new.key: sizes[key]}), found.own, parallel=False,
+                   iterations=STEPS, renewals=4, tolerance=0.2).light
+    return None
 
 
 def _reduced(search: Selection, found: Fit, causes: Causes) -> Fit | None:
