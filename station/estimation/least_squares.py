@@ -35,8 +35,9 @@ PLACE_STEP = 0.02
 """Finite-difference step of the motor's place in a gap (artanh of its share)."""
 OFFSET_STEP = 0.1
 """Finite-difference step of the accelerometer's offset, counts; of the starting angle half a count."""
-DIFFER = 0.03
-"""What the sizes are begun with by which runs differ: a share of the command, and of the rms command."""
+LARGEST = np.array([0.03, 0.01])
+"""Most by which runs differ: a share of the command (a motor's torque constant falls by 0.2 % a degree of its ferrite
+magnets: fifteen degrees), and of the amplifier's limit (an offset of its input)."""
 ROUNDS = 12
 """In which these sizes settle."""
 LONGEST = 2.0
@@ -91,7 +92,6 @@ class Fit:
     weighing: Weighing
     nuisance: np.ndarray
     """(c) prior precisions of what runs have of their own."""
-    rms_command: float
     owner: np.ndarray
     """(s) the run of each stretch."""
 
@@ -172,7 +172,8 @@ class Fit:
         """
         p, prior = self.space.size, self.space.precision
         matrices, slopes = self._by_run(weighing)
-        sizes = np.array([DIFFER, DIFFER * self.rms_command])
+        largest = LARGEST * np.array([1.0, self.space.rig.amplifier.limit])
+        sizes = largest
         for _ in range(ROUNDS):
             own = self.own_precision((sizes[0], sizes[1]))
             normals, gradients, inverse, pull = self._eliminated(matrices, slopes, own)
@@ -181,7 +182,7 @@ class Fit:
             coupled = inverse @ matrices[:, p:, :p]
             away = self.away + (inverse @ pull[:, :, None])[:, :, 0] - coupled @ step
             variance = np.diagonal(inverse + coupled @ covariance @ coupled.transpose(0, 2, 1), axis1=1, axis2=2)
-            sizes = np.sqrt(np.mean((away**2 + variance)[:, -2:], axis=0))
+            sizes = np.minimum(np.sqrt(np.mean((away**2 + variance)[:, -2:], axis=0)), largest)
         return float(sizes[0]), float(sizes[1])
 
     @cached_property
@@ -399,7 +400,7 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
         jac, fresh, renewals = descent.jacobian(here), True, renewals - 1
     return Fit(space, here.x, here.own, descent.away(here.own), here.objective, here.squares, descent.counts,
                here.residuals, here.predicted, jac, descent.information(here, jac), weighing, descent.nuisance,
-               data.rms_command, data.segment_run)
+               data.segment_run)
 
 
 def _broyden(jac: list[np.ndarray], old: _Point, new: _Point, descent: _Descent) -> None:
