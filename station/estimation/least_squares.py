@@ -38,6 +38,8 @@ OFFSET_STEP = 0.1
 LARGEST = np.array([0.03, 0.01])
 """Most by which runs differ: a share of the command (a motor's torque constant falls by 0.2 % a degree of its ferrite
 magnets: fifteen degrees), and of the amplifier's limit (an offset of its input)."""
+SEVERAL = 3
+"""Runs from which on they can tell how much they differ."""
 ROUNDS = 12
 """In which these sizes settle."""
 LONGEST = 2.0
@@ -170,6 +172,8 @@ class Fit:
         Empirical Bayes by expectation and maximisation (Dempster, Laird and Rubin, J. R. Stat. Soc. B 39, 1977; Gelman
         et al., section 13.6), about the fit: the mean over runs of their squares and of what these leave uncertain.
         """
+        if len(self.squares) < SEVERAL:
+            return 0.0, 0.0
         p, prior = self.space.size, self.space.precision
         matrices, slopes = self._by_run(weighing)
         largest = LARGEST * np.array([1.0, self.space.rig.amplifier.limit])
