@@ -13,15 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from station.estimation.likelihood import (
-    Weighing,
-    block_counts,
-    block_scale,
-    blocks_independent,
-    cost,
-    nuisance_precision,
-    temperature,
-)
+from station.estimation.likelihood import Weighing, cost, nuisance_precision, temperature
 from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor
 
@@ -189,9 +181,9 @@ class _Descent:
                  parallel: bool) -> None:
         self.predictor, self.space, self.weighing, self.runs, self.parallel = predictor, space, weighing, runs, parallel
         data = self.data = predictor.data
-        self.scale = [block_scale(data, r, predictor.channel) for r in range(len(data.runs))]
-        self.measured = [m[predictor.channel] for m in data.measured]
-        self.counts = block_counts(data, predictor.channel)
+        self.scale = [predictor.scale(r) for r in range(len(data.runs))]
+        self.measured = [predictor.measured(r) for r in range(len(data.runs))]
+        self.counts = predictor.counts
         self.nuisance = nuisance_precision(data)
         self.steps = np.full(space.size + data.channels, STEP)
         self.steps[space.parts["places"]] = PLACE_STEP
@@ -286,11 +278,11 @@ class _Descent:
     def information(self, here: _Point, jac: list[np.ndarray]) -> Information:
         """Sums over the stretches."""
         data, stretches = self.data, len(self.data.segment_run)
-        size, blocks = len(jac[0]), len(self.predictor.channel)
+        size, blocks = len(jac[0]), jac[0].shape[1]
         squares, counts = np.zeros((stretches, blocks)), np.zeros((stretches, blocks))
         normal, gradient = np.zeros((stretches, blocks, size, size)), np.zeros((stretches, blocks, size))
         for r, (j, e) in enumerate(zip(jac, here.residuals, strict=True)):
-            share = data.share[r][self.predictor.channel]
+            share = self.predictor.share(r)
             edges = np.flatnonzero(np.diff(data.segment[r], prepend=-1))
             for s, (begin, end) in zip(data.segment[r][edges], zip(edges, [*edges[1:], len(data.segment[r])],
                                                                    strict=True), strict=True):
@@ -348,8 +340,8 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
             break
         jac, fresh, renewals = descent.jacobian(here), True, renewals - 1
     return Fit(space, here.x, here.start, here.offset, descent.away(here.start, here.offset), here.objective,
-               here.squares, descent.counts, here.residuals, here.predicted, jac, descent.information(here, jac), weighing,
-               descent.nuisance, data.segment_run)
+               here.squares, descent.counts, here.residuals, here.predicted, jac, descent.information(here, jac),
+               weighing, descent.nuisance, data.segment_run)
 
 
 def _broyden(jac: list[np.ndarray], old: _Point, new: _Point, descent: _Descent) -> None:
@@ -380,7 +372,7 @@ def inherited(parent: Fit, space: Parameters) -> list[np.ndarray]:
 
 def weighing_of(predictor: Predictor, found: Fit) -> Weighing:
     """What the blocks count for where a fit's errors are taken for what a model of this rig leaves."""
-    independent = blocks_independent(predictor.data, predictor.channel, found.residuals)
+    independent = predictor.independent(found.residuals)
     cold = Weighing(independent, 1.0)
     curvature, _ = found.normal(cold)
     slopes = _stretch_slopes(found, cold)

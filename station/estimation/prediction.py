@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from station.estimation.dataset import Dataset
+from station.estimation.likelihood import block_counts, block_scale, blocks_independent
 from station.estimation.observer import Observer, observers
 from station.estimation.parameters import Parameters
 from station.model.compiled import kernel
@@ -111,6 +112,27 @@ class Predictor:
     def channel(self) -> np.ndarray:
         """(b) the channel of every block."""
         return np.array([0] * len(self.observers) + [1] * (self.data.channels - 1))
+
+    @cached_property
+    def counts(self) -> np.ndarray:
+        """(runs, b) independent errors of the sensors."""
+        return block_counts(self.data, self.channel)
+
+    def measured(self, run: int) -> np.ndarray:
+        """(b, n) what one run's predictions are held against, counts."""
+        return self.data.measured[run][self.channel]
+
+    def share(self, run: int) -> np.ndarray:
+        """(b, n) independent errors per sample."""
+        return self.data.share[run][self.channel]
+
+    def scale(self, run: int) -> np.ndarray:
+        """(b, n) what makes one run's errors count alike (``block_scale``)."""
+        return block_scale(self.data, run, self.channel)
+
+    def independent(self, residuals: list[np.ndarray]) -> np.ndarray:
+        """(runs, b) N of every block, from scaled errors (b, n) of every run."""
+        return blocks_independent(self.data, self.channel, residuals)
 
     def model(self, space: Parameters, x: np.ndarray) -> Model:
         """The rig that a parameter vector describes, made ready for the many simulations of a fit."""

@@ -11,7 +11,6 @@ import pytest
 from station.diagnose import validation as module
 from station.diagnose.validation import leave_each_out, unseen_gain
 
-
 EVEN = SimpleNamespace(independent=np.ones((2, 2)))
 """One independent error in each block of two runs."""
 

@@ -1,0 +1,68 @@
+"""A rig's constants from its runs: the fit that every hypothesis begins from, and that stands by itself."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from station.estimation.dataset import beginning
+from station.estimation.least_squares import LOST, Fit, fit, weighing_of
+from station.estimation.likelihood import Weighing
+from station.estimation.parameters import Hypothesis, Parameters, parameters
+from station.estimation.prediction import FINE, Predictor
+
+BEGIN = 0.02
+"""Share of all samples that count as independent before anything is known of the errors."""
+BEGINNINGS = (0.1, 0.3, 1.0)
+"""Seconds after the first command: one after the other, a period of the slowest mode of a beam apart."""
+SETTLED_SHARE = 0.2
+"""Change of the logarithm of a number of independent errors below which it has settled: the estimate's own error."""
+
+
+def base_fit(predictor: Predictor) -> Fit:
+    """The best rig without further causes."""
+    space = parameters(predictor.data, Hypothesis(), {})
+    return settled(predictor, descended(predictor, space, space.mean))
+
+
+def descended(predictor: Predictor, space: Parameters, x: np.ndarray) -> Fit:
+    """The better of two fits from ``x`` (p), before anything is known of the errors.
+
+    A beam whose frequency is off swings out of step with its model after a few periods, and the objective has a valley
+    for every period lost.  So fits are begun twice: on whole runs, and on longer and longer stretches after each run's
+    first command, on which nothing is out of step yet.  ArithmeticError: ``x`` does not simulate.
+    """
+    data, first = predictor.data, _unknown(predictor)
+    found = [fit(predictor, space, first, x, tolerance=1.0)]
+    start, offset = data.start, data.offset
+    with suppress(*LOST):
+        for seconds in BEGINNINGS:
+            part = replace(predictor, data=beginning(data, seconds))
+            begun = fit(part, space, _unknown(part), x, start, offset, tolerance=1.0, iterations=12)
+            x, start, offset = begun.x, begun.start, begun.offset
+        found.append(fit(predictor, space, first, x, start, offset, tolerance=1.0))
+    return min(found, key=lambda f: f.objective)
+
+
+def _unknown(predictor: Predictor) -> Weighing:
+    return Weighing(BEGIN * predictor.counts, 1.0)
+
+
+def settled(predictor: Predictor, found: Fit, rounds: int = 4) -> Fit:
+    """A fit under the weighing that its own errors give."""
+    for _ in range(rounds):
+        before = found.weighing
+        now = weighing_of(predictor, found)
+        found = fit(predictor, found.space, now, found.x, found.start, found.offset)
+        if np.all(np.abs(np.log(now.independent / before.independent)) < SETTLED_SHARE):
+            break
+    return found
+
+
+def refined(predictor: Predictor, weighing: Weighing, found: Fit) -> Fit:
+    """A fit brought to its very end with finer simulations: values are stated from it."""
+    finer = replace(predictor, accuracy=FINE)
+    return fit(finer, found.space, weighing, found.x, found.start, found.offset, iterations=12, tolerance=0.02,
+               renewals=4)
