@@ -88,6 +88,11 @@ class Fit:
         return self.space.hypothesis.key
 
     @property
+    def misfit(self) -> float:
+        """Mean squared error of the predictions, in units of the noise; 1 where nothing but noise is left."""
+        return float(self.squares.sum() / self.counts.sum())
+
+    @property
     def logs(self) -> np.ndarray:
         """Logarithms of constants over their nominal values."""
         return self.space.logs(self.x)

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from station.estimation.dataset import Dataset
-from station.estimation.likelihood import block_counts, block_scale, blocks_independent
+from station.estimation.likelihood import block_scale, blocks_independent
 from station.estimation.observer import Observer, observers
 from station.estimation.parameters import Parameters
 from station.model.compiled import kernel
@@ -111,12 +111,17 @@ class Predictor:
     @cached_property
     def channel(self) -> np.ndarray:
         """(b) the channel of every block."""
-        return np.array([0] * len(self.observers) + [1] * (self.data.channels - 1))
+        return np.array([0] * len(self.observers) + [1] * self._accelerometers, dtype=int)
+
+    @property
+    def _accelerometers(self) -> int:
+        """How many blocks are the accelerometer's."""
+        return self.data.channels - 1 if self.observers else 0
 
     @cached_property
     def counts(self) -> np.ndarray:
         """(runs, b) independent errors of the sensors."""
-        return block_counts(self.data, self.channel)
+        return np.maximum([self.share(r).sum(axis=1) for r in range(len(self.data.runs))], 1e-9)
 
     def measured(self, run: int) -> np.ndarray:
         """(b, n) what one run's predictions are held against, counts."""
@@ -145,7 +150,8 @@ class Predictor:
         zero, place = space.zero(x, self.data.zero_group[run]), space.place(x, run)
         found = [predict_run(self.data, model, observer, run, start, offset, zero=zero, place=place)[0]
                  for observer in self.observers]
-        return np.stack([y[0] for y in found] + [found[len(found) // 2][1]] * (self.data.channels - 1))
+        blocks = [y[0] for y in found] + [found[len(found) // 2][1] for _ in range(self._accelerometers)]
+        return np.reshape(blocks, (len(blocks), len(self.data.runs[run])))
 
     def runs(self, space: Parameters, x: np.ndarray, start: np.ndarray, offset: np.ndarray, *,
              parallel: bool = False) -> list[np.ndarray]:
