@@ -14,16 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from station.estimation.dataset import Dataset
-from station.estimation.likelihood import (
-    LEAST_DIFFERENCE,
-    Weighing,
-    block_counts,
-    block_scale,
-    blocks_independent,
-    cost,
-    nuisance_precision,
-    temperature,
-)
+from station.estimation.likelihood import LEAST_DIFFERENCE, Weighing, cost, nuisance_precision, temperature
 from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor
 
@@ -38,6 +29,8 @@ OFFSET_STEP = 0.1
 LARGEST = np.array([0.03, 0.01])
 """Most by which runs differ: a share of the command (a motor's torque constant falls by 0.2 % a degree of its ferrite
 magnets: fifteen degrees), and of the amplifier's limit (an offset of its input)."""
+SEVERAL = 3
+"""Runs from which on they can tell how much they differ."""
 ROUNDS = 12
 """In which these sizes settle."""
 LONGEST = 2.0
@@ -99,6 +92,11 @@ class Fit:
     def key(self) -> frozenset[tuple[str, str]]:
         """The causes."""
         return self.space.hypothesis.key
+
+    @property
+    def misfit(self) -> float:
+        """Mean squared error of the predictions, in units of the noise; 1 where nothing but noise is left."""
+        return float(self.squares.sum() / self.counts.sum())
 
     @property
     def logs(self) -> np.ndarray:
@@ -170,6 +168,8 @@ class Fit:
         Empirical Bayes by expectation and maximisation (Dempster, Laird and Rubin, J. R. Stat. Soc. B 39, 1977; Gelman
         et al., section 13.6), about the fit: the mean over runs of their squares and of what these leave uncertain.
         """
+        if len(self.squares) < SEVERAL:
+            return 0.0, 0.0
         p, prior = self.space.size, self.space.precision
         matrices, slopes = self._by_run(weighing)
         largest = LARGEST * np.array([1.0, self.space.rig.amplifier.limit])
@@ -238,9 +238,9 @@ class _Descent:
                  parallel: bool) -> None:
         self.predictor, self.space, self.weighing, self.runs, self.parallel = predictor, space, weighing, runs, parallel
         data = self.data = predictor.data
-        self.scale = [block_scale(data, r, predictor.channel) for r in range(len(data.runs))]
-        self.measured = [m[predictor.channel] for m in data.measured]
-        self.counts = block_counts(data, predictor.channel)
+        self.scale = [predictor.scale(r) for r in range(len(data.runs))]
+        self.measured = [predictor.measured(r) for r in range(len(data.runs))]
+        self.counts = predictor.counts
         self.nuisance = nuisance_precision(data, weighing.differ)
         self.steps = np.append(np.full(space.size, STEP), own_steps(data)[data.free])
         self.steps[space.parts["places"]] = PLACE_STEP
@@ -333,11 +333,11 @@ class _Descent:
     def information(self, here: _Point, jac: list[np.ndarray]) -> Information:
         """Sums over the stretches."""
         data, stretches = self.data, len(self.data.segment_run)
-        size, blocks = len(jac[0]), len(self.predictor.channel)
+        size, blocks = len(jac[0]), jac[0].shape[1]
         squares, counts = np.zeros((stretches, blocks)), np.zeros((stretches, blocks))
         normal, gradient = np.zeros((stretches, blocks, size, size)), np.zeros((stretches, blocks, size))
         for r, (j, e) in enumerate(zip(jac, here.residuals, strict=True)):
-            share = data.share[r][self.predictor.channel]
+            share = self.predictor.share(r)
             edges = np.flatnonzero(np.diff(data.segment[r], prepend=-1))
             for s, (begin, end) in zip(data.segment[r][edges], zip(edges, [*edges[1:], len(data.segment[r])],
                                                                    strict=True), strict=True):
@@ -430,7 +430,7 @@ def inherited(parent: Fit, space: Parameters) -> list[np.ndarray]:
 
 def weighing_of(predictor: Predictor, found: Fit) -> Weighing:
     """What the blocks count for where a fit's errors are taken for what a model of this rig leaves."""
-    independent = blocks_independent(predictor.data, predictor.channel, found.residuals)
+    independent = predictor.independent(found.residuals)
     cold = Weighing(independent, 1.0, found.weighing.differ)
     curvature, _ = found.normal(cold)
     slopes = _stretch_slopes(found, cold)

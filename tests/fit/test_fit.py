@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from station.errors import UsageError
+from station.errors import UsageError, WorkError
 from station.fit import fit
-from station.fit.judge import common_factor, invisible, length_scale
-from station.fit.problem import Problem
 from station.model.simulate import simulate
+from station.model.units import powers
 from station.rig import Rig, load_rig
 from station.runs.run import Run, RunMetadata
 from station.runs.store import load_run
@@ -86,24 +85,16 @@ def test_intervals_hold_a_rig_drawn_from_the_stated_uncertainty():
     assert width[0] < 0.05, "narrow where the data speak"
 
 
-@pytest.mark.parametrize("factor", [common_factor, length_scale])
-def test_invisible_factors_leave_every_reading_as_it_was(factor):
+@pytest.mark.parametrize("unit", [0, 1])
+def test_the_units_of_torque_and_length_leave_every_reading_as_it_was(unit):
     rig = load_rig("sflr")
     constants = rig.constants()
-    powers = factor(list(constants))
-    scaled = rig.with_constants({path: constants[path] * 1.4**power for path, power in powers.items()})
+    factor = dict(zip(constants, 1.4 ** powers(list(constants), unit), strict=True))
+    scaled = rig.with_constants({path: value * factor[path] for path, value in constants.items()})
     for run in runs_on(rig):
         one, other = (simulate(r, run, rounding=False, start_angle=0.0) for r in (rig, scaled))
         np.testing.assert_allclose(other.encoder, one.encoder, atol=1e-5)
         np.testing.assert_allclose(other.accel, one.accel, atol=1e-5)
-
-
-def test_invisible_directions_left_by_what_is_held():
-    constants = list(load_rig("sflr").constants())
-    assert len(invisible(constants, constants)) == 2
-    one = invisible([p for p in constants if p != "beam.mass_per_length"], constants)
-    assert len(one) == 1
-    assert invisible([p for p in constants if p not in SCALES], constants) == []
 
 
 def test_default_hold_reports_the_length_that_no_data_show():
@@ -153,23 +144,6 @@ def test_rigid_axis_is_fitted_without_a_beam():
     assert ratios[0] == pytest.approx(ratios[1], rel=2e-3), "the speed that a command ends at"
 
 
-def test_derivatives_are_those_of_the_residuals():
-    rig = load_rig("sflr")
-    problem = Problem(rig, runs_on(rig)[:1], ["drive.stiffness", "tip.mass"], "time")
-    x = problem.start()
-    x[:2] = 0.4, -0.7
-    exact = problem.jacobian(x)
-    quick = problem.jacobian(x, problem.residuals(x))
-    problem.close()
-    for k, step in ((0, 1e-4), (1, 1e-4), (2, 0.3), (3, 0.7)):
-        ahead, behind = x.copy(), x.copy()
-        ahead[k] += step
-        behind[k] -= step
-        wanted = (problem.residuals(ahead) - problem.residuals(behind)) / (2.0 * step)
-        assert np.abs(exact[:, k] - wanted).max() < 1e-4 * np.abs(wanted).max()
-        assert np.abs(quick[:, k] - wanted).max() < 1e-2 * np.abs(wanted).max()
-
-
 @pytest.mark.parametrize(("change", "words"), [
     ({"hold": ("beam.mass",)}, "hold beam.mass: this rig has"), ({"domain": "laplace"}, "none of time, frequency"),
     ({"runs": []}, "at least one run")])
@@ -183,8 +157,8 @@ def test_wrong_use_is_named(change, words):
 def test_a_run_at_another_rate_is_refused():
     rig = load_rig("sflr")
     run = runs_on(rig)[0]
-    with pytest.raises(UsageError, match="sampled at 250 Hz"):
-        fit(rig, [replace(run, t=2.0 * run.t)])
+    with pytest.raises(WorkError, match="pulse: sampled at 300 Hz, the rig at 500 Hz"):
+        fit(rig, [replace(run, t=run.t * 5.0 / 3.0)])
 
 
 def test_measured_step_is_fitted_better_than_nominal_and_the_misfit_is_named():
