@@ -7,6 +7,7 @@ import pytest
 
 from station.errors import UsageError, WorkError
 from station.fit import fit
+from station.model.effects import effect_class
 from station.model.simulate import simulate
 from station.model.units import powers
 from station.rig import Rig, load_rig
@@ -127,6 +128,48 @@ def test_frequency_domain_finds_the_modes_of_a_hidden_rig():
     result = fit(rig, [replace(run, encoder=made.encoder, accel=made.accel)], hold, domain="frequency", starts=1)
     for constant in result.constants:
         assert constant.value == pytest.approx(hidden.constants()[constant.path], rel=0.02), constant.path
+
+
+def test_both_domains_together_find_what_either_finds():
+    rig = load_rig("sflr")
+    hold = tuple(p for p in rig.constants() if p not in ("beam.flexural_rigidity", "accelerometer.gain", "motor.gain"))
+    hidden = rig.with_constants({path: rig.constants()[path] * factor for path, factor in (
+        ("beam.flexural_rigidity", 0.9), ("accelerometer.gain", 1.1), ("motor.gain", 0.9))})
+    run = sent("noise", 80.0 * np.random.default_rng(0).standard_normal(6000).clip(-2, 2), {"kind": "open"})
+    made = simulate(hidden, run, start_angle=0.0)
+    logged = [replace(run, encoder=made.encoder, accel=made.accel)]
+    found = {domain: fit(rig, logged, hold, domain=domain, starts=1) for domain in ("time", "frequency", "both")}
+    for result in found.values():
+        for constant in result.constants:
+            assert constant.value == pytest.approx(hidden.constants()[constant.path], rel=0.02), constant.path
+    assert found["both"].chi2 not in (found["time"].chi2, found["frequency"].chi2)
+
+
+def test_a_run_without_a_response_is_refused_in_the_frequency_domain_alone():
+    rig = load_rig("sflr")
+    short = runs_on(rig)[:1]
+    with pytest.raises(WorkError, match="no run is long and rich enough for a fit in the frequency domain"):
+        fit(rig, short, domain="frequency", starts=1)
+    assert fit(rig, short, domain="both", starts=1).chi2 == pytest.approx(fit(rig, short, starts=1).chi2, rel=0.01)
+
+
+def test_what_an_effect_of_the_rig_file_may_be_is_fitted_with_the_constants():
+    friction = effect_class("coulomb_friction")
+    rig = load_rig("sflr").with_effects([friction(at="motor", torque=0.05)])
+    rig = rig.model_copy(update={"uncertainty": {**rig.uncertainty, "coulomb_friction.torque": 0.3}})
+    hidden = rig.with_effects([friction(at="motor", torque=0.07)])
+    result = fit(rig, runs_on(hidden), SCALES, starts=1)
+    (torque,) = [c for c in result.constants if c.path == "coulomb_friction.torque"]
+    assert torque.low < 0.07 < torque.high and torque.determined > 0.9
+    assert result.rig.effects[0].torque == pytest.approx(torque.value)
+
+
+def test_a_constant_that_is_exact_stays():
+    rig = load_rig("sflr")
+    rig = rig.model_copy(update={"uncertainty": {**rig.uncertainty, "beam.length": 0.0}})
+    result = fit(rig, runs_on(hidden_rig(rig, SCALES, 1))[:2], starts=1)
+    assert "beam.length" not in {c.path for c in result.constants}
+    assert result.rig.beam.length == rig.beam.length and not any(direction.always for direction in result.flat)
 
 
 def test_rigid_axis_is_fitted_without_a_beam():
