@@ -79,7 +79,7 @@ def fit(
         "Constant that stays as it is; may be repeated. By default beam.mass_per_length: one common factor of all "
         "torques and inertias is invisible."))] = None,
     domain: Annotated[Literal["time", "frequency", "both"], typer.Option("--domain", help=(
-        "Compare simulations with the runs, or frequency responses with the model's."))] = "time",
+        "Compare predictions with the runs, or frequency responses with the model's."))] = "time",
     starts: Annotated[int, typer.Option("--starts", min=1, max=100, help="Starting points of the search.")] = 4,
     json: Json = None, overwrite: Overwrite = False,
 ) -> None:

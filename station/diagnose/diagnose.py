@@ -28,7 +28,7 @@ from station.diagnose.result import (
     RunFile,
     Wrong,
 )
-from station.diagnose.selection import EFFORTS, Selection, fitted, refined, select
+from station.diagnose.selection import EFFORTS, Selection, fitted, select
 from station.diagnose.thresholds import FEW, NOISE, VARIES
 from station.diagnose.validation import (
     gain,
@@ -40,6 +40,7 @@ from station.diagnose.validation import (
 )
 from station.diagnose.verdict import Stated, stated, verdict
 from station.errors import UsageError, WorkError
+from station.estimation.constants import refined
 from station.estimation.dataset import canonical_order, dataset
 from station.estimation.least_squares import Fit
 from station.estimation.observer import observers
@@ -82,7 +83,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     nothing = search.fits[frozenset()]
     chosen = fitted(search, said.causes, spoken.sets[0][0])
     said = replace(said, causes=chosen.key)
-    best = refined(search, chosen)
+    best = refined(predictor, search.weighing, chosen)
     report("judging on runs left out", 0.92)
     left_out = {said.causes: leave_each_out(predictor, search.weighing, best)}
     left_out.setdefault(frozenset(), leave_each_out(predictor, search.weighing, nothing))

@@ -39,7 +39,7 @@ from station.diagnose.thresholds import LOG_PRIOR, LOG_PRIOR_PARAMETER, SURE
 from station.estimation.dataset import Dataset
 from station.estimation.parameters import WIDE, Key
 from station.model.effects import Effect, Stage, effect_class
-from station.model.units import UNITS
+from station.model.units import UNITS, UnknownUnitError, dimension, powers
 from station.rig import Rig
 
 BELIEVABLE = 1e-3
@@ -52,12 +52,6 @@ INPUT, ENCODER = ("input_delay", "amplifier"), ("encoder_delay", "encoder")
 ACCEL, CLOCK = ("accelerometer_delay", "accelerometer"), ("clock_scale", "clock")
 TILT, RIPPLE = ("gravity_tilt", "base"), ("torque_ripple", "motor")
 GAIN = ("parameter:motor.gain", "")
-_BASE = {"N": (1, -1, 0), "kg": (1, -2, 2), "m": (0, 1, 0), "s": (0, 0, 1),
-         **dict.fromkeys(("1", "rad", "rev", "count", "counts"), (0, 0, 0))}
-
-
-class UnknownUnitError(ValueError):
-    """A unit that is not made of N, kg, m, s, rad, rev and counts."""
 
 
 @dataclass(frozen=True)
@@ -107,25 +101,6 @@ class Standing:
 
     equivalence: Equivalence
     sides: list[Side]
-
-
-def dimension(unit: str) -> tuple[int, int, int]:
-    """Powers of (torque, length, time) in a unit such as "N m s^2/rad^2"; angles and counts are numbers."""
-    total = np.zeros(3, dtype=int)
-    over, *under = unit.split("/")
-    for sign, part in ((1, over), *((-1, p) for p in under)):
-        for token in part.split():
-            name, _, power = token.partition("^")
-            if name not in _BASE:
-                raise UnknownUnitError(f"{unit!r}: {name!r} is none of {', '.join(_BASE)}")
-            total += sign * int(power or 1) * np.array(_BASE[name])
-    torque, length, time = (int(p) for p in total)
-    return torque, length, time
-
-
-def powers(paths: Sequence[str], which: int) -> np.ndarray:
-    """Power of torque (0), length (1) or time (2) in each constant."""
-    return np.array([float(dimension(UNITS[path])[which]) for path in paths])
 
 
 def rescaled(rig: Rig, torque: float = 1.0, length: float = 1.0, time: float = 1.0) -> Rig:

@@ -15,24 +15,14 @@ import numpy as np
 
 from station.diagnose.candidates import Candidate, candidates
 from station.diagnose.screening import Screened, screen
-from station.diagnose.thresholds import (
-    CLOSE,
-    LOG_PRIOR,
-    LOG_PRIOR_PARAMETER,
-    SETTLED_SHARE,
-    WORTH_A_FIT,
-)
-from station.estimation.dataset import beginning
+from station.diagnose.thresholds import CLOSE, LOG_PRIOR, LOG_PRIOR_PARAMETER, WORTH_A_FIT
+from station.estimation.constants import base_fit, settled
 from station.estimation.least_squares import LOST, Fit, fit, inherited, weighing_of
-from station.estimation.likelihood import Weighing, block_counts
+from station.estimation.likelihood import Weighing
 from station.estimation.parameters import WIDE, Causes, Hypothesis, Key, Sizes, parameters
-from station.estimation.prediction import FINE, Predictor
+from station.estimation.prediction import Predictor
 from station.model.effects import Effect, Stage
 
-BEGIN = 0.02
-"""Share of all samples that count as independent before anything is known of the errors."""
-BEGINNINGS = (0.1, 0.3, 1.0)
-"""Seconds after the first command: one after the other, a period of the slowest mode of a beam apart."""
 QUICK_STEPS, STEPS = 8, 25
 JOINTS = ("drive.stiffness", "clamp.stiffness")
 """Constants of which a rig's own may be as good as infinite."""
@@ -108,39 +98,6 @@ class Selection:
     def weigh(self, found: Fit) -> None:
         """Take what a fit leaves for what models of this rig leave."""
         self.weighing = weighing_of(self.predictor, found)
-
-
-def settled(predictor: Predictor, found: Fit, rounds: int = 4) -> Fit:
-    """A fit under the weighing that its own errors give."""
-    for _ in range(rounds):
-        before = found.weighing
-        now = weighing_of(predictor, found)
-        found = fit(predictor, found.space, now, found.x, found.own)
-        if np.all(np.abs(np.log(now.independent / before.independent)) < SETTLED_SHARE):
-            break
-    return found
-
-
-def base_fit(predictor: Predictor) -> Fit:
-    """The best rig without further causes.
-
-    A beam whose frequency is off swings out of step with its model after a few periods, and the objective has a valley
-    for every period lost.  So fits are begun twice: on whole runs, and on longer and longer stretches after each run's
-    first command, on which nothing is out of step yet.
-    """
-    data = predictor.data
-    space = parameters(data, Hypothesis(), {})
-    first = Weighing(BEGIN * block_counts(data, predictor.channel), 1.0)
-    x, own = space.mean, data.own
-    found = [fit(predictor, space, first, x, tolerance=1.0)]
-    with suppress(*LOST):
-        for seconds in BEGINNINGS:
-            part = replace(predictor, data=beginning(data, seconds))
-            begun = fit(part, space, Weighing(BEGIN * block_counts(part.data, part.channel), 1.0), x, own,
-                        tolerance=1.0, iterations=12)
-            x, own = begun.x, begun.own
-        found.append(fit(predictor, space, first, x, own, tolerance=1.0))
-    return settled(predictor, min(found, key=lambda f: f.objective))
 
 
 def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float], None]) -> Selection:
@@ -333,10 +290,3 @@ def _finish(search: Selection) -> None:
         if search.best().key == best.key:
             break
         search.weigh(search.best())
-
-
-def refined(search: Selection, found: Fit) -> Fit:
-    """A fit brought to its very end with finer simulations: values are stated from it."""
-    finer = replace(search.predictor, accuracy=FINE)
-    return fit(finer, found.space, search.weighing, found.x, found.own, iterations=12, tolerance=0.02,
-               renewals=4)

@@ -14,8 +14,6 @@ WORTH_A_FIT = 2.0
 no set of causes could win."""
 CLOSE = 15.0
 """Log posterior odds within which a set is a rival worth fitting to the end: e^-15 is beyond any resample."""
-SETTLED_SHARE = 0.2
-"""Change of the logarithm of a number of independent errors below which it has settled: the estimate's own error."""
 STABLE = 0.8
 """Share of resamples in which a stated cause must be named (the project's own promise)."""
 SURE = 0.8

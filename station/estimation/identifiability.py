@@ -24,6 +24,8 @@ import numpy as np
 import scipy.linalg
 
 from station.estimation.parameters import FARTHEST, Parameters
+from station.model.effects import Effect
+from station.model.units import UnknownUnitError, dimension, powers
 
 State = Literal["determined", "at_bound", "traded_off", "not_excited"]
 HALF = 0.5
@@ -94,3 +96,27 @@ def trades(names: Sequence[str], found: Sequence[ValueState]) -> list[str]:
                          + (f"; the rig file holds {100.0 * value.share:.0f} % of its variance"
                             if value.share > HALF else ""))
     return lines
+
+
+def unseen(space: Parameters) -> np.ndarray:
+    """(n, k) orthonormal directions of the constants' part of x that no data show, all other constants held.
+
+    They are those of the units of torque and length, which no reading carries (``diagnose.equivalences``), each unless
+    an effect of the rig fixes it.
+    """
+    constants = list(space.rig.constants())
+    factors = [powers(constants, unit) for unit in (0, 1) if not any(_carries(e, unit) for e in space.rig.effects)]
+    basis = np.array([factor for factor in factors if np.any(factor)]).reshape(-1, len(constants))
+    fixed = [k for k, path in enumerate(constants) if path not in space.paths]
+    free = [constants.index(path) for path in space.paths]
+    logs = basis[:, free].T @ scipy.linalg.null_space(basis[:, fixed].T)
+    return np.linalg.qr(np.linalg.solve(space.root, logs))[0]
+
+
+def _carries(effect: Effect, unit: int) -> bool:
+    """Whether an effect has a size with this unit in it, or one that is not known."""
+    try:
+        return any(value != 0.0 and dimension(effect.parameters()[name].unit)[unit] != 0
+                   for name, value in effect.values().items())
+    except UnknownUnitError:
+        return True

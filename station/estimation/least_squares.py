@@ -14,16 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from station.estimation.dataset import Dataset
-from station.estimation.likelihood import (
-    LEAST_DIFFERENCE,
-    Weighing,
-    block_counts,
-    block_scale,
-    blocks_independent,
-    cost,
-    nuisance_precision,
-    temperature,
-)
+from station.estimation.likelihood import LEAST_DIFFERENCE, Weighing, cost, nuisance_precision, temperature
 from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor
 
@@ -101,6 +92,11 @@ class Fit:
     def key(self) -> frozenset[tuple[str, str]]:
         """The causes."""
         return self.space.hypothesis.key
+
+    @property
+    def misfit(self) -> float:
+        """Mean squared error of the predictions, in units of the noise; 1 where nothing but noise is left."""
+        return float(self.squares.sum() / self.counts.sum())
 
     @property
     def logs(self) -> np.ndarray:
@@ -242,9 +238,9 @@ class _Descent:
                  parallel: bool) -> None:
         self.predictor, self.space, self.weighing, self.runs, self.parallel = predictor, space, weighing, runs, parallel
         data = self.data = predictor.data
-        self.scale = [block_scale(data, r, predictor.channel) for r in range(len(data.runs))]
-        self.measured = [m[predictor.channel] for m in data.measured]
-        self.counts = block_counts(data, predictor.channel)
+        self.scale = [predictor.scale(r) for r in range(len(data.runs))]
+        self.measured = [predictor.measured(r) for r in range(len(data.runs))]
+        self.counts = predictor.counts
         self.nuisance = nuisance_precision(data, weighing.differ)
         self.steps = np.append(np.full(space.size, STEP), own_steps(data)[data.free])
         self.steps[space.parts["places"]] = PLACE_STEP
@@ -337,11 +333,11 @@ class _Descent:
     def information(self, here: _Point, jac: list[np.ndarray]) -> Information:
         """Sums over the stretches."""
         data, stretches = self.data, len(self.data.segment_run)
-        size, blocks = len(jac[0]), len(self.predictor.channel)
+        size, blocks = len(jac[0]), jac[0].shape[1]
         squares, counts = np.zeros((stretches, blocks)), np.zeros((stretches, blocks))
         normal, gradient = np.zeros((stretches, blocks, size, size)), np.zeros((stretches, blocks, size))
         for r, (j, e) in enumerate(zip(jac, here.residuals, strict=True)):
-            share = data.share[r][self.predictor.channel]
+            share = self.predictor.share(r)
             edges = np.flatnonzero(np.diff(data.segment[r], prepend=-1))
             for s, (begin, end) in zip(data.segment[r][edges], zip(edges, [*edges[1:], len(data.segment[r])],
                                                                    strict=True), strict=True):
@@ -434,7 +430,7 @@ def inherited(parent: Fit, space: Parameters) -> list[np.ndarray]:
 
 def weighing_of(predictor: Predictor, found: Fit) -> Weighing:
     """What the blocks count for where a fit's errors are taken for what a model of this rig leaves."""
-    independent = blocks_independent(predictor.data, predictor.channel, found.residuals)
+    independent = predictor.independent(found.residuals)
     cold = Weighing(independent, 1.0, found.weighing.differ)
     curvature, _ = found.normal(cold)
     slopes = _stretch_slopes(found, cold)

@@ -7,8 +7,8 @@ Positive sizes of effects enter by their logarithm, others in units of a usual s
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -112,7 +112,7 @@ class Parameters:
     hypothesis: Hypothesis
     paths: tuple[str, ...]
     root: np.ndarray
-    """(n, n) L, the logarithms of the constants over nominal per unit of x."""
+    """(n, k) L, the logarithms of the constants over nominal per unit of x; k < n ``along`` some directions alone."""
     coordinates: tuple[Coordinate, ...]
     zeros: int
     """Further encoder zeros (beyond the first) whose absolute angle is unknown."""
@@ -132,8 +132,8 @@ class Parameters:
     def parts(self) -> dict[str, slice]:
         """Where each kind of parameter stands in x."""
         found, at = {}, 0
-        for name, count in (("constants", len(self.paths)), ("effects", len(self.coordinates)), ("zeros", self.zeros),
-                            ("held", len(self.held)), ("places", self.gap_places)):
+        for name, count in (("constants", self.root.shape[1]), ("effects", len(self.coordinates)),
+                            ("zeros", self.zeros), ("held", len(self.held)), ("places", self.gap_places)):
             found[name] = slice(at, at + count)
             at += count
         return found
@@ -141,6 +141,13 @@ class Parameters:
     def logs(self, x: np.ndarray) -> np.ndarray:
         """Logarithms of the constants over nominal."""
         return self.root @ x[self.parts["constants"]]
+
+    def along(self, basis: np.ndarray) -> Parameters:
+        """The same where the constants move along ``basis`` (n, k) alone, orthonormal directions of their part of x."""
+        rest = slice(len(self.paths), self.size)
+        return replace(self, root=self.root @ basis,
+                       mean=np.concatenate([np.zeros(basis.shape[1]), self.mean[rest]]),
+                       precision=np.concatenate([np.ones(basis.shape[1]), self.precision[rest]]))
 
     def values(self, x: np.ndarray) -> Sizes:
         """The effects' parameters, by cause."""
@@ -198,9 +205,13 @@ class Parameters:
         return found + [f"place in the gap, run {k + 1}" for k in range(self.gap_places)]
 
 
-def parameters(data: Dataset, hypothesis: Hypothesis, centres: Sizes) -> Parameters:
-    """Parameters of a hypothesis; ``centres`` gives each effect's sizes, the centres of their priors."""
-    rig, paths = data.rig, tuple(data.rig.constants())
+def parameters(data: Dataset, hypothesis: Hypothesis, centres: Sizes, fixed: Collection[str] = ()) -> Parameters:
+    """Parameters of a hypothesis; ``centres`` gives each effect's sizes, the centres of their priors.
+
+    ``fixed``: constants that no fit moves.
+    """
+    rig = data.rig
+    paths = tuple(path for path in rig.constants() if path not in fixed)
     covariance = rig.log_covariance(list(paths))
     for path in hypothesis.constants:
         i = paths.index(path)

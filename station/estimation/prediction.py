@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from station.estimation.dataset import Dataset
+from station.estimation.likelihood import block_scale, blocks_independent
 from station.estimation.observer import Observer, observers
 from station.estimation.parameters import Parameters
 from station.model.compiled import kernel
@@ -113,7 +114,33 @@ class Predictor:
     @cached_property
     def channel(self) -> np.ndarray:
         """(b) the channel of every block."""
-        return np.array([0] * len(self.observers) + [1] * (self.data.channels - 1))
+        return np.array([0] * len(self.observers) + [1] * self._accelerometers, dtype=int)
+
+    @property
+    def _accelerometers(self) -> int:
+        """How many blocks are the accelerometer's."""
+        return self.data.channels - 1 if self.observers else 0
+
+    @cached_property
+    def counts(self) -> np.ndarray:
+        """(runs, b) independent errors of the sensors."""
+        return np.maximum([self.share(r).sum(axis=1) for r in range(len(self.data.runs))], 1e-9)
+
+    def measured(self, run: int) -> np.ndarray:
+        """(b, n) what one run's predictions are held against, counts."""
+        return self.data.measured[run][self.channel]
+
+    def share(self, run: int) -> np.ndarray:
+        """(b, n) independent errors per sample."""
+        return self.data.share[run][self.channel]
+
+    def scale(self, run: int) -> np.ndarray:
+        """(b, n) what makes one run's errors count alike (``block_scale``)."""
+        return block_scale(self.data, run, self.channel)
+
+    def independent(self, residuals: list[np.ndarray]) -> np.ndarray:
+        """(runs, b) N of every block, from scaled errors (b, n) of every run."""
+        return blocks_independent(self.data, self.channel, residuals)
 
     def model(self, space: Parameters, x: np.ndarray) -> Model:
         """The rig that a parameter vector describes, made ready for the many simulations of a fit."""
@@ -125,7 +152,8 @@ class Predictor:
         zero, place = space.zero(x, self.data.zero_group[run]), space.place(x, run)
         found = [predict_run(self.data, model, observer, run, own, zero=zero, place=place)[0]
                  for observer in self.observers]
-        return np.stack([y[0] for y in found] + [found[len(found) // 2][1]] * (self.data.channels - 1))
+        blocks = [y[0] for y in found] + [found[len(found) // 2][1] for _ in range(self._accelerometers)]
+        return np.reshape(blocks, (len(blocks), len(self.data.runs[run])))
 
     def runs(self, space: Parameters, x: np.ndarray, own: np.ndarray, *, parallel: bool = False) -> list[np.ndarray]:
         """Every run's predictions, ``own`` (runs, 4); ``parallel`` not from one of the pool's threads."""

@@ -49,7 +49,7 @@ class FitResult:
     flat: tuple[FlatDirection, ...]
     warnings: tuple[str, ...]
     chi2: float
-    """Mean squared residual in units of the noise at the fitted rig; 1 where nothing but noise is left."""
+    """Mean squared prediction error of the fitted rig over the noise's; 1 where nothing but noise is left."""
     chi2_nominal: float
     starts: int
     agreeing: int
@@ -64,7 +64,7 @@ class FitResult:
         widths = [max(len(row[k]) for row in rows) for k in range(6)]
         lines = ["  ".join(cell.ljust(w) if k == 0 else cell.rjust(w)
                            for k, (cell, w) in enumerate(zip(row, widths, strict=True))).rstrip() for row in rows]
-        lines.append(f"mean squared residual over noise: {self.chi2_nominal:.4g} nominal, {self.chi2:.4g} fitted; "
+        lines.append(f"mean squared error over noise: {self.chi2_nominal:.4g} nominal, {self.chi2:.4g} fitted; "
                      f"{self.agreeing} of {self.starts} starts ended here")
         lines += [f"correlation {one} with {other}: {value:+.3f}" for one, other, value in self.correlated()]
         lines += [f"flat: {direction}" for direction in self.flat]

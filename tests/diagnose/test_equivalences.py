@@ -16,11 +16,8 @@ from station.diagnose.equivalences import (
     INPUT,
     TABLE,
     Setting,
-    UnknownUnitError,
     bound_rivals,
     completed,
-    dimension,
-    powers,
     rescaled,
     rivals,
     standing_in,
@@ -31,6 +28,7 @@ from station.diagnose.result import NextExperiment
 from station.diagnose.thresholds import LOG_PRIOR
 from station.model.effects import effect_class
 from station.model.simulate import build, simulate_model
+from station.model.units import UnknownUnitError, dimension, powers
 from station.rig import Rig, load_rig
 from station.runs.run import Run, RunMetadata
 from tests.truth import CONTROLLERS, RIGID_AXIS, TWO_MASS

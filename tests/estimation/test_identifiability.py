@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from station.estimation.dataset import dataset
-from station.estimation.identifiability import parameter_states, states, trades
+from station.estimation.identifiability import parameter_states, states, trades, unseen
 from station.estimation.parameters import Hypothesis, parameters
 from station.model.effects import effect_class
-from station.rig import Rig
+from station.rig import Rig, load_rig
 from station.runs.run import Run, RunMetadata
 from tests.truth import RIGID_AXIS
 
-AXIS = Rig.model_validate(RIGID_AXIS)
+AXIS, SFLR = Rig.model_validate(RIGID_AXIS), load_rig("sflr")
 
 
 def posterior(data: np.ndarray, prior: np.ndarray) -> np.ndarray:
@@ -89,12 +89,17 @@ def test_a_value_at_a_bound_says_so_before_all_else():
     assert names(states(posterior(np.diag([1e4, 0.1]), prior), prior, bounded=[0, 1])) == ["at_bound", "at_bound"]
 
 
-@pytest.fixture(scope="module")
-def space():
+def still(name: str) -> Run:
+    """A run of which only the form matters."""
     rows = 100
     zero = np.zeros(rows)
-    moving = np.arange(rows, dtype=float)
-    run = Run("one", np.arange(rows) / 500.0, zero, zero, moving, None, RunMetadata(controller={"kind": "open"}))
+    return Run(name, np.arange(rows) / 500.0, zero, zero, np.arange(rows, dtype=float), None,
+               RunMetadata(controller={"kind": "open"}))
+
+
+@pytest.fixture(scope="module")
+def space():
+    run = still("one")
     delay, ripple = effect_class("input_delay"), effect_class("torque_ripple")
     return parameters(dataset(AXIS, [run, run]),
                       Hypothesis(((delay, "amplifier"), (ripple, "motor")), ("motor.gain",)),
@@ -130,3 +135,24 @@ def test_an_effect_at_its_bound_is_found_and_a_phase_has_none(space):
     assert found[n].state == "at_bound" and found[n + 3].state == "determined"
     x[0] = 100.0
     assert parameter_states(space, covariance, x)[0].state == "at_bound"
+
+
+@pytest.mark.parametrize("fixed, left", [((), 2), (("beam.mass_per_length",), 1),
+                                         (("beam.mass_per_length", "beam.length"), 0)])
+def test_no_data_show_the_units_of_torque_and_length_but_for_what_is_fixed(fixed, left):
+    free = parameters(dataset(SFLR, [still("one")]), Hypothesis(), {}, fixed)
+    found = unseen(free)
+    assert found.shape == (len(free.paths), left)
+    np.testing.assert_allclose(found.T @ found, np.eye(left), atol=1e-12)
+    if left == 1:
+        powers = dict(zip(free.paths, (free.root @ found)[:, 0], strict=True))
+        assert powers["accelerometer.gain"] / powers["beam.length"] == pytest.approx(-1.0)
+        assert powers["beam.flexural_rigidity"] / powers["beam.length"] == pytest.approx(4.0)
+
+
+def test_a_torque_that_is_known_fixes_the_unit_of_torque():
+    friction = effect_class("coulomb_friction")(at="motor", torque=0.05)
+    curve = effect_class("gain_curve")(at="amplifier", exponent=0.1)
+    left = [unseen(parameters(dataset(AXIS.with_effects(effects), [still("one")]), Hypothesis(), {})).shape[1]
+            for effects in ([], [curve], [friction])]
+    assert left == [1, 1, 0]

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from station.errors import UsageError
+from station.errors import UsageError, WorkError
 from station.fit import fit
-from station.fit.judge import common_factor, invisible, length_scale
-from station.fit.problem import Problem
+from station.model.effects import effect_class
 from station.model.simulate import simulate
+from station.model.units import powers
 from station.rig import Rig, load_rig
 from station.runs.run import Run, RunMetadata
 from station.runs.store import load_run
@@ -86,24 +86,16 @@ def test_intervals_hold_a_rig_drawn_from_the_stated_uncertainty():
     assert width[0] < 0.05, "narrow where the data speak"
 
 
-@pytest.mark.parametrize("factor", [common_factor, length_scale])
-def test_invisible_factors_leave_every_reading_as_it_was(factor):
+@pytest.mark.parametrize("unit", [0, 1])
+def test_the_units_of_torque_and_length_leave_every_reading_as_it_was(unit):
     rig = load_rig("sflr")
     constants = rig.constants()
-    powers = factor(list(constants))
-    scaled = rig.with_constants({path: constants[path] * 1.4**power for path, power in powers.items()})
+    factor = dict(zip(constants, 1.4 ** powers(list(constants), unit), strict=True))
+    scaled = rig.with_constants({path: value * factor[path] for path, value in constants.items()})
     for run in runs_on(rig):
         one, other = (simulate(r, run, rounding=False, start_angle=0.0) for r in (rig, scaled))
         np.testing.assert_allclose(other.encoder, one.encoder, atol=1e-5)
         np.testing.assert_allclose(other.accel, one.accel, atol=1e-5)
-
-
-def test_invisible_directions_left_by_what_is_held():
-    constants = list(load_rig("sflr").constants())
-    assert len(invisible(constants, constants)) == 2
-    one = invisible([p for p in constants if p != "beam.mass_per_length"], constants)
-    assert len(one) == 1
-    assert invisible([p for p in constants if p not in SCALES], constants) == []
 
 
 def test_default_hold_reports_the_length_that_no_data_show():
@@ -138,6 +130,48 @@ def test_frequency_domain_finds_the_modes_of_a_hidden_rig():
         assert constant.value == pytest.approx(hidden.constants()[constant.path], rel=0.02), constant.path
 
 
+def test_both_domains_together_find_what_either_finds():
+    rig = load_rig("sflr")
+    hold = tuple(p for p in rig.constants() if p not in ("beam.flexural_rigidity", "accelerometer.gain", "motor.gain"))
+    hidden = rig.with_constants({path: rig.constants()[path] * factor for path, factor in (
+        ("beam.flexural_rigidity", 0.9), ("accelerometer.gain", 1.1), ("motor.gain", 0.9))})
+    run = sent("noise", 80.0 * np.random.default_rng(0).standard_normal(6000).clip(-2, 2), {"kind": "open"})
+    made = simulate(hidden, run, start_angle=0.0)
+    logged = [replace(run, encoder=made.encoder, accel=made.accel)]
+    found = {domain: fit(rig, logged, hold, domain=domain, starts=1) for domain in ("time", "frequency", "both")}
+    for result in found.values():
+        for constant in result.constants:
+            assert constant.value == pytest.approx(hidden.constants()[constant.path], rel=0.02), constant.path
+    assert found["both"].chi2 not in (found["time"].chi2, found["frequency"].chi2)
+
+
+def test_a_run_without_a_response_is_refused_in_the_frequency_domain_alone():
+    rig = load_rig("sflr")
+    short = runs_on(rig)[:1]
+    with pytest.raises(WorkError, match="no run is long and rich enough for a fit in the frequency domain"):
+        fit(rig, short, domain="frequency", starts=1)
+    assert fit(rig, short, domain="both", starts=1).chi2 == pytest.approx(fit(rig, short, starts=1).chi2, rel=0.01)
+
+
+def test_what_an_effect_of_the_rig_file_may_be_is_fitted_with_the_constants():
+    friction = effect_class("coulomb_friction")
+    rig = load_rig("sflr").with_effects([friction(at="motor", torque=0.05)])
+    rig = rig.model_copy(update={"uncertainty": {**rig.uncertainty, "coulomb_friction.torque": 0.3}})
+    hidden = rig.with_effects([friction(at="motor", torque=0.07)])
+    result = fit(rig, runs_on(hidden), SCALES, starts=1)
+    (torque,) = [c for c in result.constants if c.path == "coulomb_friction.torque"]
+    assert torque.low < 0.07 < torque.high and torque.determined > 0.9
+    assert result.rig.effects[0].torque == pytest.approx(torque.value)
+
+
+def test_a_constant_that_is_exact_stays():
+    rig = load_rig("sflr")
+    rig = rig.model_copy(update={"uncertainty": {**rig.uncertainty, "beam.length": 0.0}})
+    result = fit(rig, runs_on(hidden_rig(rig, SCALES, 1))[:2], starts=1)
+    assert "beam.length" not in {c.path for c in result.constants}
+    assert result.rig.beam.length == rig.beam.length and not any(direction.always for direction in result.flat)
+
+
 def test_rigid_axis_is_fitted_without_a_beam():
     rig = load_rig("sflr").model_copy(update=dict.fromkeys(("drive", "base", "clamp", "beam", "tip", "accelerometer")))
     rig = rig.model_copy(update={"uncertainty": {"default": 0.2}})
@@ -153,23 +187,6 @@ def test_rigid_axis_is_fitted_without_a_beam():
     assert ratios[0] == pytest.approx(ratios[1], rel=2e-3), "the speed that a command ends at"
 
 
-def test_derivatives_are_those_of_the_residuals():
-    rig = load_rig("sflr")
-    problem = Problem(rig, runs_on(rig)[:1], ["drive.stiffness", "tip.mass"], "time")
-    x = problem.start()
-    x[:2] = 0.4, -0.7
-    exact = problem.jacobian(x)
-    quick = problem.jacobian(x, problem.residuals(x))
-    problem.close()
-    for k, step in ((0, 1e-4), (1, 1e-4), (2, 0.3), (3, 0.7)):
-        ahead, behind = x.copy(), x.copy()
-        ahead[k] += step
-        behind[k] -= step
-        wanted = (problem.residuals(ahead) - problem.residuals(behind)) / (2.0 * step)
-        assert np.abs(exact[:, k] - wanted).max() < 1e-4 * np.abs(wanted).max()
-        assert np.abs(quick[:, k] - wanted).max() < 1e-2 * np.abs(wanted).max()
-
-
 @pytest.mark.parametrize(("change", "words"), [
     ({"hold": ("beam.mass",)}, "hold beam.mass: this rig has"), ({"domain": "laplace"}, "none of time, frequency"),
     ({"runs": []}, "at least one run")])
@@ -183,8 +200,8 @@ def test_wrong_use_is_named(change, words):
 def test_a_run_at_another_rate_is_refused():
     rig = load_rig("sflr")
     run = runs_on(rig)[0]
-    with pytest.raises(UsageError, match="sampled at 250 Hz"):
-        fit(rig, [replace(run, t=2.0 * run.t)])
+    with pytest.raises(WorkError, match="pulse: sampled at 300 Hz, the rig at 500 Hz"):
+        fit(rig, [replace(run, t=run.t * 5.0 / 3.0)])
 
 
 def test_measured_step_is_fitted_better_than_nominal_and_the_misfit_is_named():

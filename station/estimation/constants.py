@@ -1,0 +1,112 @@
+"""A rig's constants from its runs: the fit that every hypothesis begins from, and that stands by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from station.estimation.dataset import beginning
+from station.estimation.least_squares import LOST, Fit, fit, weighing_of
+from station.estimation.likelihood import Weighing
+from station.estimation.parameters import Hypothesis, Parameters, parameters
+from station.estimation.prediction import FINE, Predictor
+
+BEGIN = 0.02
+"""Share of all samples that count as independent before anything is known of the errors."""
+BEGINNINGS = (0.1, 0.3, 1.0)
+"""Seconds after the first command: one after the other, a period of the slowest mode of a beam apart."""
+SETTLED_SHARE = 0.2
+"""Change of the logarithm of a number of independent errors below which it has settled: the estimate's own error."""
+
+SAME = 4.0
+"""Two descents ended in one minimum where their -2 ln of the posterior differ by less."""
+
+
+def base_fit(predictor: Predictor) -> Fit:
+    """The best rig without further causes."""
+    space = parameters(predictor.data, Hypothesis(), {})
+    return settled(predictor, descended(predictor, space, space.mean))
+
+
+def descended(predictor: Predictor, space: Parameters, x: np.ndarray) -> Fit:
+    """The better of two fits from ``x`` (p), before anything is known of the errors.
+
+    A beam whose frequency is off swings out of step with its model after a few periods, and the objective has a valley
+    for every period lost.  So fits are begun twice: on whole runs, and on longer and longer stretches after each run's
+    first command, on which nothing is out of step yet.  ArithmeticError: ``x`` does not simulate.
+    """
+    data, first = predictor.data, _unknown(predictor)
+    found = [fit(predictor, space, first, x, tolerance=1.0)]
+    own = data.own
+    with suppress(*LOST):
+        for seconds in BEGINNINGS:
+            part = replace(predictor, data=beginning(data, seconds))
+            begun = fit(part, space, _unknown(part), x, own, tolerance=1.0, iterations=12)
+            x, own = begun.x, begun.own
+        found.append(fit(predictor, space, first, x, own, tolerance=1.0))
+    return min(found, key=lambda f: f.objective)
+
+
+def searched(predictor: Predictor, space: Parameters, starts: int, seed: int,
+             progress: Callable[[str, float], None]) -> tuple[Fit, int]:
+    """The best of several descents, from the prior's mean and from draws of it, and how many of them ended there.
+
+    ``progress(what, share)`` is called after each.  ArithmeticError: none simulates.
+    """
+    rng, ends = np.random.default_rng(seed), []
+    for k in range(starts):
+        x = space.mean + (rng.standard_normal(space.size) / np.sqrt(space.precision) if k else 0.0)
+        said = "does not simulate"
+        with suppress(*LOST):
+            ends.append(descended(predictor, space, x))
+            said = f"mean squared error {ends[-1].misfit:.4g} times the noise's"
+        progress(f"start {k + 1} of {starts}: {said}", (k + 1) / starts)
+    if not ends:
+        raise ArithmeticError("no start simulates")
+    best = min(ends, key=lambda end: end.objective)
+    return best, sum(end.objective < best.objective + SAME for end in ends)
+
+
+def _unknown(predictor: Predictor) -> Weighing:
+    return Weighing(BEGIN * predictor.counts, 1.0)
+
+
+def settled(predictor: Predictor, found: Fit, rounds: int = 4) -> Fit:
+    """A fit under the weighing that its own errors give."""
+    for _ in range(rounds):
+        before = found.weighing
+        now = weighing_of(predictor, found)
+        found = fit(predictor, found.space, now, found.x, found.own)
+        if np.all(np.abs(np.log(now.independent / before.independent)) < SETTLED_SHARE):
+            break
+    return found
+
+
+def cooled(predictor: Predictor, found: Fit) -> Weighing:
+    """A fit's weighing, its temperature at least the number of times that horizons count the same readings.
+
+    The horizons' errors are of the same readings, so that together they say no more than the one that says most.  With
+    H the curvature of all blocks, H_h without the encoder's at other horizons than h, and A = H + prior's precision, so
+    many times is the least of tr(A^-1 H)/tr(A^-1 H_h).  In runs of a few seconds the scatter of the slope over their
+    few stretches does not show it.
+    """
+    encoder = np.flatnonzero(predictor.channel == 0)
+    cold, blocks = replace(found.weighing, temperature=1.0), np.arange(found.counts.shape[1])
+    whole = found.normal(cold)[0]
+    inverse = np.linalg.inv(whole + np.diag(found.space.precision))
+    most = 0.0
+    for horizon in encoder:
+        kept = ~np.isin(blocks, encoder) | (blocks == horizon)
+        most = max(most, float(np.trace(inverse @ found.normal(replace(cold, independent=cold.independent * kept))[0])))
+    times = float(np.trace(inverse @ whole)) / most if most > 0.0 else 1.0
+    return replace(found.weighing, temperature=max(found.weighing.temperature, times))
+
+
+def refined(predictor: Predictor, weighing: Weighing, found: Fit) -> Fit:
+    """A fit brought to its very end with finer simulations: values are stated from it."""
+    finer = replace(predictor, accuracy=FINE)
+    return fit(finer, found.space, weighing, found.x, found.own, iterations=12, tolerance=0.02,
+               renewals=4)

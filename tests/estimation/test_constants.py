@@ -1,0 +1,46 @@
+"""The fit of a rig's constants: from several starts, and readings that are counted once."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import pytest
+
+from station.estimation.constants import cooled, searched
+from station.estimation.dataset import dataset
+from station.estimation.least_squares import fit
+from station.estimation.likelihood import Weighing
+from station.estimation.observer import observers
+from station.estimation.parameters import Hypothesis, parameters
+from station.estimation.prediction import Predictor
+from tests.estimation.made import AXIS, runs_of
+
+
+@pytest.fixture(scope="module")
+def predictor() -> Iterator[Predictor]:
+    true = AXIS.with_constants({"motor.damping": 1.1 * AXIS.motor.damping})
+    with ThreadPoolExecutor(1) as pool:
+        yield Predictor(dataset(AXIS, runs_of(true)), observers(AXIS, 0.0), pool)
+
+
+def test_a_horizon_that_is_looked_at_three_times_says_no_more_than_once(predictor: Predictor) -> None:
+    alone = replace(predictor, observers=observers(AXIS, 0.0, (math.inf,)))
+    thrice = replace(predictor, observers=3 * alone.observers)
+    space = parameters(predictor.data, Hypothesis(), {})
+    once, again = (fit(p, space, Weighing(p.counts, 1.0), space.mean) for p in (alone, thrice))
+    assert cooled(alone, once).temperature == pytest.approx(1.0)
+    assert cooled(thrice, again).temperature == pytest.approx(3.0, rel=0.01), "but for the runs' own prior"
+    warm = replace(again, weighing=replace(again.weighing, temperature=5.0))
+    assert cooled(thrice, warm).temperature == 5.0
+
+
+def test_starts_from_the_prior_end_in_one_minimum_and_say_so(predictor: Predictor) -> None:
+    space, told = parameters(predictor.data, Hypothesis(), {}, ("motor.inertia",)), []
+    found, agreeing = searched(predictor, space, 3, 0, lambda text, share: told.append((text, share)))
+    assert agreeing == 3 and [share for _, share in told] == pytest.approx([1 / 3, 2 / 3, 1.0])
+    ratio = found.space.rig_at(found.x).motor
+    assert ratio.gain / ratio.damping == pytest.approx(AXIS.motor.gain / (1.1 * AXIS.motor.damping), rel=2e-3)
+    assert found.space.rig_at(found.x).motor.inertia == AXIS.motor.inertia
