@@ -25,7 +25,7 @@ from station.estimation.dataset import Dataset, dataset
 from station.estimation.parameters import Hypothesis, Parameters, Sizes, parameters
 from station.model.effects import effect_class
 from station.model.simulate import build
-from station.rig import load_rig
+from station.rig import PROFILE, load_rig
 from station.runs import load_run
 from station.runs.run import Run
 from station.view.wording import number
@@ -71,8 +71,7 @@ def start(space: Parameters, factors: dict[str, float]) -> np.ndarray:
 
 def errors(data: Dataset, space: Parameters, x: np.ndarray) -> np.ndarray:
     """(2, n) of the one run, each channel over its standard deviation."""
-    made = whole_run(data, build(space.rig_at(x), 0.01, 5e-4), 0, float(data.start[0]), float(data.offset[0]),
-                     rounding=False, place=space.place(x, 0))
+    made = whole_run(data, build(space.rig_at(x), 0.01, 5e-4), 0, data.own[0], rounding=False, place=space.place(x, 0))
     away = data.measured[0] - np.stack([made.encoder, made.accel])
     return np.nan_to_num(away / data.measured[0].std(axis=1, keepdims=True), nan=1e3, posinf=1e3, neginf=-1e3)
 
@@ -80,7 +79,7 @@ def errors(data: Dataset, space: Parameters, x: np.ndarray) -> np.ndarray:
 def fitted(data: Dataset, effects: list[tuple[type, str]], sizes: Sizes, factors: dict[str, float],
            ) -> tuple[tuple[float, float], Parameters, np.ndarray]:
     """Fits of angle and acceleration, %, where every constant is free."""
-    constants = tuple(data.rig.constants())
+    constants = tuple(path for path in data.rig.constants() if path not in PROFILE)
     centres = {(cls.name, at): sizes.get((cls.name, at), cls.guesses(data.rig, at)[0]) for cls, at in effects}
     space = parameters(data, Hypothesis(tuple(effects), constants), centres)
     x = start(space, factors)
