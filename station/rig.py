@@ -26,6 +26,8 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 MAX_FILE_BYTES = 1 << 20
+PROFILE = frozenset(f"beam.rigidity_{k}" for k in (1, 2, 3))
+"""Constants that are exact unless the file states an uncertainty."""
 EXACT = frozenset({"amplifier.limit", "encoder.counts_per_revolution", "beam.elements", "beam.mesh"})
 """Keys of a rig that carry no uncertainty."""
 MAX_ELEMENTS = 200
@@ -74,15 +76,25 @@ class Base(_Table):
 class Beam(_Table):
     """mass_per_length kg/m, length m, flexural_rigidity N m^2, damping s (stiffness-proportional), elements.
 
-    ``elements`` is the least number where the mesh is ``refined`` (see ``Rig.meshed``), the number where ``as_stated``.
+    rigidity_k, k = 1, 2, 3: the rigidity at x is flexural_rigidity times the product of all rigidity_k to the power of
+    cos(k pi x/length); all 1 for a uniform beam.  ``elements`` is the least number where the mesh is ``refined`` (see
+    ``Rig.meshed``), the number where ``as_stated``.
     """
 
     mass_per_length: Positive
     length: Positive
     flexural_rigidity: Positive
     damping: NotNegative = 0.0
+    rigidity_1: Positive = 1.0
+    rigidity_2: Positive = 1.0
+    rigidity_3: Positive = 1.0
     elements: Annotated[int, Field(ge=1, le=MAX_ELEMENTS)] = 4
     mesh: Literal["refined", "as_stated"] = "refined"
+
+    @property
+    def profile(self) -> tuple[float, ...]:
+        """rigidity_1, rigidity_2, ..."""
+        return self.rigidity_1, self.rigidity_2, self.rigidity_3
 
 
 class Tip(_Table):
@@ -189,7 +201,8 @@ class Rig(_Table):
     def _uncertain_names(self) -> set[str]:
         tables = {key.split(".")[0] for key in self.constants()}
         parameters = {f"{e.name}.{p}" for e in self.effects for p in e.parameters()}
-        return {"default", *self.constants(), *tables, *parameters}
+        profile = PROFILE if self.beam is not None else ()
+        return {"default", *self.constants(), *profile, *tables, *parameters}
 
     @property
     def period(self) -> float:
@@ -216,7 +229,8 @@ class Rig(_Table):
                 continue
             for key in type(part).model_fields:
                 path, value = f"{table}.{key}", getattr(part, key)
-                if path not in EXACT and value != 0.0:
+                exact = path in EXACT or path in PROFILE and not self.uncertainty.get(path)
+                if not exact and value != 0.0:
                     found[path] = float(value)
         return found
 

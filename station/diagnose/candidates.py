@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from station.estimation.parameters import Hypothesis
 from station.model.effects import Effect, Stage, catalogue
-from station.rig import Rig
+from station.rig import PROFILE, Rig
 
 
 @dataclass(frozen=True)
@@ -51,4 +51,4 @@ def candidates(rig: Rig) -> list[Candidate]:
                 continue
             if cls.fits(rig, at) and (cls.name, at) not in held:
                 found.append(Candidate(cls, at, None, tuple(cls.guesses(rig, at))))
-    return found + [Candidate(None, "", path) for path in rig.constants()]
+    return found + [Candidate(None, "", path) for path in rig.constants() if path not in PROFILE]

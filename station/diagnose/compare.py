@@ -65,7 +65,7 @@ def compare(rig: Rig, runs: Sequence[Run], progress: Callable[[float], None] = l
 
 
 def _nearest(data: Dataset, model: Model, r: int) -> Simulation:
-    tried = [make(data, model, r, data.start[r], data.offset[r]) for make in (whole_run, settled_run)]
+    tried = [make(data, model, r, data.own[r]) for make in (whole_run, settled_run)]
 
     def error(made: Simulation) -> float:
         away = data.measured[r][: data.channels] - np.stack([getattr(made, c) for c in CHANNELS[: data.channels]])

@@ -14,9 +14,10 @@ from threadpoolctl import threadpool_limits
 from station.diagnose.equivalences import completed, rivals, standing, with_word
 from station.diagnose.experiment import choose
 from station.diagnose.measures import floor, nrmse, step_measures
-from station.diagnose.odds import Odds, estimates, odds
+from station.diagnose.odds import Odds, by_law, estimates, odds
 from station.diagnose.remainder import Remainder, remainder
 from station.diagnose.result import (
+    BetweenRuns,
     Cause,
     Diagnosis,
     DiagnosisResult,
@@ -28,7 +29,7 @@ from station.diagnose.result import (
     Wrong,
 )
 from station.diagnose.selection import EFFORTS, Selection, fitted, select
-from station.diagnose.thresholds import FEW, NOISE
+from station.diagnose.thresholds import FEW, NOISE, VARIES
 from station.diagnose.validation import (
     gain,
     leave_each_out,
@@ -45,6 +46,7 @@ from station.estimation.least_squares import Fit
 from station.estimation.observer import observers
 from station.estimation.parameters import Causes, Key
 from station.estimation.prediction import SEARCH, Predictor, predict_run
+from station.estimation.spread import differences
 from station.model.simulate import Simulation, build
 from station.pictures.evidence import evidence
 from station.rig import Rig
@@ -76,16 +78,17 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     search = select(predictor, EFFORTS[effort], report)
     report("drawing the data again", 0.88)
     found = odds(search)
-    said = stated(found)
+    spoken = by_law(found)
+    said = stated(spoken)
     nothing = search.fits[frozenset()]
-    chosen = fitted(search, said.causes, found.sets[0][0])
+    chosen = fitted(search, said.causes, spoken.sets[0][0])
     said = replace(said, causes=chosen.key)
     best = refined(predictor, search.weighing, chosen)
     report("judging on runs left out", 0.92)
     left_out = {said.causes: leave_each_out(predictor, search.weighing, best)}
     left_out.setdefault(frozenset(), leave_each_out(predictor, search.weighing, nothing))
     zero = np.zeros(nothing.space.size)
-    before = simulate_runs(data, nothing.space, zero, data.start, data.offset)
+    before = simulate_runs(data, nothing.space, zero, data.own)
     refit = simulate_unseen(predictor, left_out[frozenset()])
     after = simulate_unseen(predictor, left_out[said.causes]) if said.causes else refit
     names = [run.name for run in runs]
@@ -100,8 +103,10 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     decision = verdict(said, told, search.screened, left.is_noise, helped, known)
     causes = []
     if decision in ("explained", "partly_explained", "ambiguous"):
+        laws = {key: spoken.causes[key] for key in said.causes if spoken.causes[key] != found.causes.get(key)}
+        told = replace(told, causes={**told.causes, **laws})
         causes = [Cause(effect=key[0], at=key[1], probability=min(told.causes[key], 1.0), parameters=values[key],
-                        stability=min(told.stability.get(key, 0.0), 1.0),
+                        stability=min(spoken.stability.get(key, 0.0), 1.0),
                         rivals=rivals(told, said.causes, key, known)) for key in _in_order(search, said.causes, told)]
     extended = best.space.rig_at(best.x) if causes else nothing.space.rig_at(nothing.x)
     refit_rig = nothing.space.rig_at(nothing.x)
@@ -111,17 +116,20 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     choice = choose(search, found, decision)
     decided = decision in ("explained", "nothing_missing") and len(given) >= FEW
     ranking = _ranking(search, told, left_out)
+    share, constant = differences(chosen, search.weighing, VARIES)
+    between = BetweenRuns(share=share, constant=constant)
     diagnosis = Diagnosis(
         verdict=decision, wrong=_wrong(runs, before, data.noise), causes=causes, gain=bought,
         next_experiment=with_word(None if decided else choice.next, decision, told, said.causes, known),
-        disturbance=_disturbance(predictor, [data.rig, refit_rig, extended]), rig=rig.name, effort=effort,
+        disturbance=_disturbance(predictor, [data.rig, refit_rig, extended]), between_runs=between, rig=rig.name,
+        effort=effort,
         runs=[RunFile(run=run.name) for run in given],
         ranking=[Ranked(effect=r.effect, at=r.at, probability=min(r.probability, 1.0), note=r.note) for r in ranking])
     drawn = runs[:1] if windows else [run for run, warm in zip(runs, data.warm, strict=True) if not warm]
     pictures = evidence(refit_rig, extended, drawn, [(c.effect, c.at) for c in causes]) if drawn else []
     report("done", 1.0)
     return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, ranking, pictures, constants,
-                           _notes(rig, search, left, said, found), 0.0, choice.plan, choice.unseen, choice.prediction,
+                           _notes(rig, search, left, said, spoken), 0.0, choice.plan, choice.unseen, choice.prediction,
                            [row.equivalence.sentence for row in known] if causes else [])
 
 
@@ -209,7 +217,7 @@ def _ranking(search: Selection, found: Odds, left_out: dict[Causes, list[Fit]]) 
         fitted = search.fits[holders[0]]
         gained = (unseen_gain(search.weighing, left_out[frozenset()], left_out[holders[0]])
                   if holders[0] in left_out and holders[0] else None)
-        bought = 2.0 * (fitted.log_evidence(search.weighing) - nothing.log_evidence(search.weighing))
+        bought = 2.0 * (search.evidence(fitted) - search.evidence(nothing))
         rows.append(RankedCause(key[0], key[1], found.causes.get(key, 0.0), bought, gained,
                                 estimates(fitted)[0].get(key, {}),
                                 note="" if len(holders[0]) == 1 else f"as part of {fitted.space.hypothesis.label}"))
@@ -223,23 +231,23 @@ def _disturbance(predictor: Predictor, rigs: Sequence[Rig]) -> Disturbance:
     def share(rig: Rig) -> float:
         model, missing, command = build(rig, *SEARCH[:2]), 0.0, 0.0
         for r, run in enumerate(data.runs):
-            torque = predict_run(data, model, observer, r, data.start[r], data.offset[r])[1]
+            torque = predict_run(data, model, observer, r, data.own[r])[1]
             missing, command = missing + float(torque @ torque), command + float(run.command @ run.command)
         return float(np.sqrt(missing / max(command, 1e-300)))
     nominal, refitted, extended = predictor.pool.map(share, rigs)
     return Disturbance(nominal=nominal, refitted=refitted, extended=extended)
 
 
-def _notes(rig: Rig, search: Selection, left: Remainder, said: Stated, found: Odds) -> list[str]:
+def _notes(rig: Rig, search: Selection, left: Remainder, said: Stated, spoken: Odds) -> list[str]:
     data = search.predictor.data
     notes = [f"{len(search.fits)} sets of causes fitted to {len(data.runs)} runs",
              f"noise at rest: encoder {data.noise[0]:.2f}, accelerometer {data.noise[1]:.2f} counts",
              f"temperature of the likelihood: {search.weighing.temperature:.2f}; independent errors: "
              f"{search.weighing.independent.sum():.0f} of {data.counts.sum():.0f}"]
-    unstable = sorted(found.sets[0][0] - said.causes)
+    unstable = sorted(spoken.sets[0][0] - said.causes)
     if unstable:
         notes.append("in the best set but not stated, for too few resamples name them: "
-                     + ", ".join(f"{n}{f' at {at}' if at else ''} ({found.stability.get((n, at), 0.0):.2f})"
+                     + ", ".join(f"{n}{f' at {at}' if at else ''} ({spoken.stability.get((n, at), 0.0):.2f})"
                                  for n, at in unstable))
     if rig.beam is not None and data.rig.beam.elements != rig.beam.elements:
         notes.append(f"simulated with {data.rig.beam.elements} beam elements; with the {rig.beam.elements} of the "

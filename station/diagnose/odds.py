@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from station.estimation.identifiability import parameter_states
 from station.estimation.least_squares import Fit
 from station.estimation.parameters import Causes, Key
 from station.estimation.spread import Spread, between_runs
+from station.model.effects import effect_class
 from station.model.units import UNITS
 
 RESAMPLES = 100
@@ -38,6 +39,8 @@ class Odds:
     nothing: float
     stability: dict[Key, float]
     """Share of resamples in which the cause is in the best set."""
+    laws: dict[str, float] = field(default_factory=dict)
+    """The same of an effect, at whichever of its places."""
 
     def replacements(self, best: Causes, cause: Key) -> dict[Key, float]:
         """For each cause outside the best set: the probability of sets that hold it instead of ``cause``."""
@@ -71,10 +74,38 @@ def odds(search: Selection) -> Odds:
     bagged = (weights / weights.sum(axis=1, keepdims=True))[-RESAMPLES:].mean(axis=0)
     chosen = [allowed[near[k]][0] for k in scores.argmax(axis=1)]
     stability: dict[Key, float] = {}
+    laws: dict[str, float] = {}
     for keys in chosen:
         for key in keys:
             stability[key] = stability.get(key, 0.0) + 1.0 / len(chosen)
-    return _odds([(allowed[k][0], float(p)) for k, p in zip(near, bagged, strict=True)], stability)
+        for name in {name for name, _ in keys}:
+            laws[name] = laws.get(name, 0.0) + 1.0 / len(chosen)
+    found = _odds([(allowed[k][0], float(p)) for k, p in zip(near, bagged, strict=True)], stability)
+    return replace(found, laws=laws)
+
+
+def by_law(found: Odds) -> Odds:
+    """The odds by which causes are stated: of an effect at one of several places the law's own, whichever its place.
+
+    Where parts hardly move against each other, friction at one of them is friction at the other, and the runs say
+    less of the place than of the law.  It stands at the first of its places, in the order of its class, that is at
+    least half as probable as the likeliest; the others are rivals.
+    """
+    for name, at in sorted(found.sets[0][0]):
+        best, sets = found.sets[0][0], dict(found.sets)
+        places = {key: p for key, p in found.causes.items() if key[0] == name}
+        if len(places) < 2 or sum(other == name for other, _ in best) > 1:
+            continue
+        first = next(key for site in effect_class(name).sites
+                     if places.get(key := (name, site), 0.0) >= 0.5 * max(places.values()))
+        moved = best - {(name, at)} | {first}
+        if moved not in sets:
+            first, moved = (name, at), best
+        whole = sum(p for keys, p in found.sets if any(other == name for other, _ in keys))
+        found = replace(found, causes={**found.causes, first: whole},
+                        stability={**found.stability, first: found.laws.get(name, 0.0)},
+                        sets=[(moved, sets[moved]), *(row for row in found.sets if row[0] != moved)])
+    return found
 
 
 def normalised(scores: dict[Causes, float], stability: dict[Key, float]) -> Odds:

@@ -103,6 +103,16 @@ class Disturbance(_Table):
     extended: float
 
 
+class BetweenRuns(_Table):
+    """By how much runs differ in what the motor does more than its command and the rig say: standard deviations, None
+    where these runs do not show that they differ."""
+
+    share: float | None = None
+    """Of the command."""
+    constant: float | None = None
+    """Counts of the command."""
+
+
 class NextExperiment(_Table):
     """The test that would separate the leading rivals most, or None and why none would."""
 
@@ -136,6 +146,7 @@ class Diagnosis(_Table):
     gain: Gain
     next_experiment: NextExperiment | None = None
     disturbance: Disturbance | None = None
+    between_runs: BetweenRuns | None = None
     ranking: list[Ranked] = Field(default_factory=list)
     rig: str = ""
     runs: list[RunFile] = Field(default_factory=list)

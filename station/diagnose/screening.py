@@ -88,7 +88,7 @@ class _Eliminated:
 
     def change(self, space: Parameters, x: np.ndarray) -> list[np.ndarray] | None:
         """What a hypothesis at x changes in the weighed predictions, per run; None where it does not simulate."""
-        predicted = self.predictor.runs(space, x, self.parent.start, self.parent.offset)
+        predicted = self.predictor.runs(space, x, self.parent.own)
         found = [((new - old) * s * root).ravel() for new, old, s, root in
                  zip(predicted, self.parent.predicted, self.scale, self.roots, strict=True)]
         return found if all(np.all(np.isfinite(f)) for f in found) else None

@@ -7,9 +7,9 @@ off the best set and is the same for all sets that are compared; with it the sco
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from station.estimation.least_squares import LOST, Fit, fit, inherited, weighing
 from station.estimation.likelihood import Weighing
 from station.estimation.parameters import WIDE, Causes, Hypothesis, Key, Sizes, parameters
 from station.estimation.prediction import Predictor
-from station.model.effects import Stage
+from station.model.effects import Effect, Stage
 
 QUICK_STEPS, STEPS = 8, 25
 JOINTS = ("drive.stiffness", "clamp.stiffness")
@@ -57,12 +57,24 @@ class Selection:
     fits: dict[Causes, Fit] = field(default_factory=dict)
     screened: list[Screened] = field(default_factory=list)
     """Of the first rung."""
+    _weighed: dict[int, tuple[Fit, Weighing, Weighing, float]] = field(default_factory=dict)
+
+    def evidence(self, found: Fit, drawn: np.ndarray | None = None) -> float:
+        """Log evidence of a set of causes, up to a constant; ``drawn``: of resampled stretches.
+
+        How much runs differ is each set's own: what is most likely of all data.
+        """
+        known = self._weighed.get(id(found))
+        if known is None or known[0] is not found or known[1] is not self.weighing:
+            own = replace(self.weighing, differ=found.most_likely_differ(self.weighing))
+            known = self._weighed[id(found)] = (found, self.weighing, own, found.log_evidence(own))
+        return known[3] if drawn is None else found.log_evidence(known[2], drawn)
 
     def score(self, found: Fit, drawn: np.ndarray | None = None) -> float:
         """Log posterior of a set of causes, up to a constant; ``drawn``: of resampled stretches."""
         hypothesis = found.space.hypothesis
         further = sum(len(cls.parameters()) - 1 for cls, _ in hypothesis.effects) + found.space.zeros
-        score = (found.log_evidence(self.weighing, drawn) + LOG_PRIOR * len(hypothesis.causes)
+        score = (self.evidence(found, drawn) + LOG_PRIOR * len(hypothesis.causes)
                  + LOG_PRIOR_PARAMETER * further + self._clock_score(hypothesis))
         return score if np.isfinite(score) else -np.inf
 
@@ -111,6 +123,7 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
         search.weigh(best)
         search.keep(best)
         _look_back(search, best)
+        _look_around(search, best, pool)
         parent = _with_derivatives(search, search.best())
     progress("fitting rivals as far as the best", 0.82)
     _finish(search)
@@ -119,7 +132,7 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
 
 def _with_derivatives(search: Selection, found: Fit) -> Fit:
     """The same set, fitted under the weighing in force, with derivatives to hand on."""
-    again = fit(search.predictor, found.space, search.weighing, found.x, found.start, found.offset)
+    again = fit(search.predictor, found.space, search.weighing, found.x, found.own)
     search.keep(again)
     return again
 
@@ -174,8 +187,8 @@ def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened], weighing
                                       {**first, **one.start})
     space = parameters(predictor.data, hypothesis, centres)
     with suppress(*LOST):
-        return fit(predictor, space, weighing, space.carried(parent.space, parent.x, first), parent.start,
-                   parent.offset, jacobian=inherited(parent, space), parallel=False, renewals=0,
+        return fit(predictor, space, weighing, space.carried(parent.space, parent.x, first), parent.own,
+                   jacobian=inherited(parent, space), parallel=False, renewals=0,
                    iterations=QUICK_STEPS, tolerance=0.5).light
     return None
 
@@ -192,7 +205,7 @@ def _stiffened(search: Selection, parent: Fit, candidate: Candidate) -> Fit | No
     logs = RIGID * WIDE * np.array([path == candidate.constant for path in space.paths])
     x[space.parts["constants"]] = np.linalg.solve(space.root, logs)
     with suppress(*LOST):
-        return fit(search.predictor, space, search.weighing, x, parent.start, parent.offset, parallel=False,
+        return fit(search.predictor, space, search.weighing, x, parent.own, parallel=False,
                    iterations=STEPS, tolerance=0.5).light
     return None
 
@@ -202,7 +215,7 @@ def _refit(search: Selection, fits: Iterable[Fit], weighing: Weighing,
     """Fit sets to the end under a weighing, side by side."""
     def again(found: Fit) -> Fit | None:
         with suppress(*LOST):
-            return fit(search.predictor, found.space, weighing, found.x, found.start, found.offset, parallel=False,
+            return fit(search.predictor, found.space, weighing, found.x, found.own, parallel=False,
                        iterations=STEPS, renewals=4, tolerance=0.2).light
         return None
 
@@ -220,6 +233,29 @@ def _look_back(search: Selection, found: Fit) -> None:
             search.keep(one)
 
 
+def _look_around(search: Selection, found: Fit, pool: Sequence[Candidate]) -> None:
+    """Fit every set with one effect at another of its places, from where it ended: where parts hardly move against each
+    other the same law at another place does nearly the same."""
+    moves = [(old, new) for old in found.space.hypothesis.effects for new in pool
+             if new.effect is old[0] and new.key not in found.key]
+    for one in search.predictor.pool.map(lambda move: _moved(search, found, *move), moves):
+        if one is not None:
+            search.keep(one)
+
+
+def _moved(search: Selection, found: Fit, old: tuple[type[Effect], str], new: Candidate) -> Fit | None:
+    """A set with one effect at another place and its sizes the same; None where that does not simulate."""
+    key = (old[0].name, old[1])
+    hypothesis = found.space.hypothesis.without(key) + new.hypothesis
+    centres, sizes = found.space.values(found.space.mean), found.space.values(found.x)
+    space = parameters(search.predictor.data, hypothesis, {**centres, new.key: centres[key]})
+    with suppress(*LOST):
+        return fit(search.predictor, space, search.weighing,
+                   space.carried(found.space, found.x, {new.key: sizes[key]}), found.own, parallel=False,
+                   iterations=STEPS, renewals=4, tolerance=0.2).light
+    return None
+
+
 def _reduced(search: Selection, found: Fit, causes: Causes) -> Fit | None:
     """Some of a set's causes alone, fitted from where the whole set ended; None where that does not simulate."""
     hypothesis = found.space.hypothesis
@@ -229,8 +265,8 @@ def _reduced(search: Selection, found: Fit, causes: Causes) -> Fit | None:
     centres: Sizes = {k: v for k, v in found.space.values(found.space.mean).items() if k in causes}
     space = parameters(search.predictor.data, hypothesis, centres)
     with suppress(*LOST):
-        return fit(search.predictor, space, search.weighing, space.carried(found.space, found.x), found.start,
-                   found.offset, parallel=False, iterations=STEPS, renewals=4, tolerance=0.2).light
+        return fit(search.predictor, space, search.weighing, space.carried(found.space, found.x), found.own,
+                   parallel=False, iterations=STEPS, renewals=4, tolerance=0.2).light
     return None
 
 

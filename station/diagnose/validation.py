@@ -11,7 +11,7 @@ import numpy as np
 from station.diagnose.measures import floor, nrmse, step_measures
 from station.diagnose.result import ChannelGain, Gain, RunGain
 from station.estimation.dataset import Dataset
-from station.estimation.least_squares import LOST, OFFSET_STEP, Fit, fit
+from station.estimation.least_squares import LOST, Fit, fit, own_steps
 from station.estimation.likelihood import Weighing, nuisance_precision, rho
 from station.estimation.observer import observers
 from station.estimation.parameters import Parameters
@@ -25,59 +25,56 @@ UNKNOWN_AHEAD = 0.5
 CHANNELS = ("encoder", "accel")
 
 
-def whole_run(data: Dataset, model: Model, run: int, start: float, offset: float, *, rounding: bool = True,
+def whole_run(data: Dataset, model: Model, run: int, own: np.ndarray, *, rounding: bool = True,
               zero: float = 0.0, place: float = 0.0) -> Simulation:
-    """One run as its test would have gone on a rig; ``start`` (rad) is what the encoder reads at sample 0.
+    """One run as its test would have gone on a rig; ``own`` (4) as ``Dataset.own`` has it.
 
     A closed loop is simulated from its reference, an open one from its command.  Where the controller is unknown, or
     the log begins in motion, the loop cannot be closed, and the run is predicted UNKNOWN_AHEAD from what was read
     before.
     """
-    this, angle, moving = data.runs[run], angle_that_reads(model.rig, start, zero), data.warm[run] > 0
+    this, moving, (start, offset, share, constant) = data.runs[run], data.warm[run] > 0, (float(v) for v in own)
     if not moving and (this.metadata.controller.get("kind") != "unknown" or this.open_loop):
-        return simulate_model(model, this, rounding=rounding, start_angle=angle, accel_offset=offset, zero=zero,
-                              gap_place=place)
+        return simulate_model(model, this, rounding=rounding, start_angle=angle_that_reads(model.rig, start, zero),
+                              accel_offset=offset, zero=zero, gap_place=place, own=(share, constant))
     observer, = observers(data.rig, data.noise[0], (math.inf if this.open_loop else UNKNOWN_AHEAD,))
-    found = predict_run(data, model, observer, run, start, offset, zero=zero, place=place)[0]
+    found = predict_run(data, model, observer, run, own, zero=zero, place=place)[0]
     if rounding:
         found = np.floor(found + 0.5)
     return Simulation(this.t, this.reference, this.command, found[0], found[1] if data.has_accel else None)
 
 
-def settled_run(data: Dataset, model: Model, run: int, start: float, offset: float, zero: float = 0.0,
-                place: float = 0.0) -> Simulation:
-    """The same with the starting angle and the accelerometer's offset that suit the run best (two Gauss-Newton steps),
-    as the device would have read it."""
-    prior, scale = nuisance_precision(data), np.sqrt(data.share[run]) / data.sigma[:, None]
-    steps = np.array([0.5 * data.rig.angle_per_count, OFFSET_STEP])[: data.channels]
+def settled_run(data: Dataset, model: Model, run: int, own: np.ndarray, differ: tuple[float, float] = (0.0, 0.0),
+                zero: float = 0.0, place: float = 0.0) -> Simulation:
+    """The same with what suits the run best of what it has of its own (two Gauss-Newton steps), as the device would
+    have read it; ``differ`` as ``Weighing`` has it."""
+    prior, scale = nuisance_precision(data, differ), np.sqrt(data.share[run]) / data.sigma[:, None]
+    free, steps, first, own = data.free, own_steps(data), data.own[run], own.copy()
 
-    def outputs(start: float, offset: float) -> np.ndarray:
-        made = whole_run(data, model, run, start, offset, rounding=False, zero=zero, place=place)
+    def outputs(own: np.ndarray) -> np.ndarray:
+        made = whole_run(data, model, run, own, rounding=False, zero=zero, place=place)
         return np.stack([getattr(made, c) for c in CHANNELS[: data.channels]])
 
     for _ in range(2):
-        here = outputs(start, offset)
+        here = outputs(own)
         if not np.all(np.isfinite(here)):
             break
-        moved = [outputs(start + steps[0], offset), *([outputs(start, offset + steps[1])] if data.has_accel else [])]
-        columns = np.stack([((m - here) * scale).ravel() / d for m, d in zip(moved, steps, strict=True)])
-        away = np.array([start - data.start[run], offset - data.offset[run]])[: data.channels]
+        columns = np.stack([((outputs(own + steps * (np.arange(4) == k)) - here) * scale).ravel() / steps[k]
+                            for k in free])
         error = ((data.measured[run][: data.channels] - here) * scale).ravel()
         with np.errstate(over="ignore", invalid="ignore"):
-            step = np.linalg.solve(columns @ columns.T + np.diag(prior), columns @ error - prior * away)
+            step = np.linalg.solve(columns @ columns.T + np.diag(prior), columns @ error - prior * (own - first)[free])
         if not np.all(np.isfinite(step)):
             break
-        count = data.rig.angle_per_count
-        start = float(np.clip(start + step[0], data.start[run] - count, data.start[run] + count))
-        offset = offset + float(step[1]) if data.has_accel else offset
-    return whole_run(data, model, run, start, offset, zero=zero, place=place)
+        own[free] += step
+        own[0] = np.clip(own[0], first[0] - data.rig.angle_per_count, first[0] + data.rig.angle_per_count)
+    return whole_run(data, model, run, own, zero=zero, place=place)
 
 
-def simulate_runs(data: Dataset, space: Parameters, x: np.ndarray, start: np.ndarray, offset: np.ndarray,
-                  ) -> list[Simulation]:
+def simulate_runs(data: Dataset, space: Parameters, x: np.ndarray, own: np.ndarray) -> list[Simulation]:
     """Every run on the rig of a parameter vector (exact model, whole counts)."""
     model = build(space.rig_at(x))
-    return [settled_run(data, model, r, start[r], offset[r], space.zero(x, data.zero_group[r]), space.place(x, r))
+    return [settled_run(data, model, r, own[r], zero=space.zero(x, data.zero_group[r]), place=space.place(x, r))
             for r in range(len(data.runs))]
 
 
@@ -92,7 +89,7 @@ def leave_each_out(predictor: Predictor, weighing: Weighing, found: Fit, iterati
         weights = np.ones(len(predictor.data.runs))
         weights[r] = 0.0
         with suppress(*LOST):
-            return fit(predictor, found.space, weighing, found.x, found.start, found.offset, runs=weights,
+            return fit(predictor, found.space, weighing, found.x, found.own, runs=weights,
                        jacobian=found.jacobian, parallel=False, iterations=iterations, renewals=2).light
         return found.light
 
@@ -105,7 +102,7 @@ def simulate_unseen(predictor: Predictor, left_out: Sequence[Fit]) -> list[Simul
 
     def one(r: int) -> Simulation:
         left = left_out[r]
-        return settled_run(data, build(left.space.rig_at(left.x)), r, left.start[r], left.offset[r],
+        return settled_run(data, build(left.space.rig_at(left.x)), r, left.own[r], left.weighing.differ,
                            left.space.zero(left.x, data.zero_group[r]), left.space.place(left.x, r))
     return list(predictor.pool.map(one, range(len(data.runs))))
 
@@ -122,7 +119,7 @@ def predicted_ahead(predictor: Predictor, fits: Sequence[Fit] | Fit, nominal: bo
         run, rows = data.runs[r], data.windows[r]
         found = {}
         for seconds, observer in zip(AHEAD, watched, strict=True):
-            made, _ = predict_run(data, model, observer, r, left.start[r], left.offset[r], zero=zero,
+            made, _ = predict_run(data, model, observer, r, data.own[r] if nominal else left.own[r], zero=zero,
                                   place=left.space.place(x, r))
             found[f"{seconds:g} s"] = nrmse(run.encoder[rows], made[0][rows])
         return found

@@ -20,7 +20,6 @@ BEGINNINGS = (0.1, 0.3, 1.0)
 """Seconds after the first command: one after the other, a period of the slowest mode of a beam apart."""
 SETTLED_SHARE = 0.2
 """Change of the logarithm of a number of independent errors below which it has settled: the estimate's own error."""
-
 SAME = 4.0
 """Two descents ended in one minimum where their -2 ln of the posterior differ by less."""
 
@@ -40,13 +39,13 @@ def descended(predictor: Predictor, space: Parameters, x: np.ndarray) -> Fit:
     """
     data, first = predictor.data, _unknown(predictor)
     found = [fit(predictor, space, first, x, tolerance=1.0)]
-    start, offset = data.start, data.offset
+    own = data.own
     with suppress(*LOST):
         for seconds in BEGINNINGS:
             part = replace(predictor, data=beginning(data, seconds))
-            begun = fit(part, space, _unknown(part), x, start, offset, tolerance=1.0, iterations=12)
-            x, start, offset = begun.x, begun.start, begun.offset
-        found.append(fit(predictor, space, first, x, start, offset, tolerance=1.0))
+            begun = fit(part, space, _unknown(part), x, own, tolerance=1.0, iterations=12)
+            x, own = begun.x, begun.own
+        found.append(fit(predictor, space, first, x, own, tolerance=1.0))
     return min(found, key=lambda f: f.objective)
 
 
@@ -79,7 +78,7 @@ def settled(predictor: Predictor, found: Fit, rounds: int = 4) -> Fit:
     for _ in range(rounds):
         before = found.weighing
         now = weighing_of(predictor, found)
-        found = fit(predictor, found.space, now, found.x, found.start, found.offset)
+        found = fit(predictor, found.space, now, found.x, found.own)
         if np.all(np.abs(np.log(now.independent / before.independent)) < SETTLED_SHARE):
             break
     return found
@@ -94,7 +93,7 @@ def cooled(predictor: Predictor, found: Fit) -> Weighing:
     few stretches does not show it.
     """
     encoder = np.flatnonzero(predictor.channel == 0)
-    cold, blocks = Weighing(found.weighing.independent, 1.0), np.arange(found.counts.shape[1])
+    cold, blocks = replace(found.weighing, temperature=1.0), np.arange(found.counts.shape[1])
     whole = found.normal(cold)[0]
     inverse = np.linalg.inv(whole + np.diag(found.space.precision))
     most = 0.0
@@ -108,5 +107,5 @@ def cooled(predictor: Predictor, found: Fit) -> Weighing:
 def refined(predictor: Predictor, weighing: Weighing, found: Fit) -> Fit:
     """A fit brought to its very end with finer simulations: values are stated from it."""
     finer = replace(predictor, accuracy=FINE)
-    return fit(finer, found.space, weighing, found.x, found.start, found.offset, iterations=12, tolerance=0.02,
+    return fit(finer, found.space, weighing, found.x, found.own, iterations=12, tolerance=0.02,
                renewals=4)

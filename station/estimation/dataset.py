@@ -6,13 +6,14 @@ import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from station.errors import WorkError
 from station.estimation.noise import QUANTISATION, noise_sigmas, rest_rows, rounding_shares
 from station.model.simulate import build, simulate_model
-from station.rig import Rig
+from station.rig import PROFILE, Rig
 from station.runs.run import RATES, Run, RunMetadata
 
 SEGMENT = 1.0
@@ -25,6 +26,9 @@ WARM = 1.0
 """Seconds for that: what is wrong of a flexible arm's base and first mode is then below a hundredth (see FINDS)."""
 FIRST = 0.02
 """Seconds that tell whether a run begins in motion: too few for a command to move much."""
+RIGIDITY = 0.015
+"""Sigma of each harmonic of a beam's rigidity along its length, where the rig file says nothing: the cube of a
+thickness that varies within a piece by half a percent (between pieces cold rolled strip may by several: EN 10140)."""
 UNROUNDED = 0.3
 """Noise of an encoder, counts, from which on its rounding errors are independent from sample to sample (Widrow)."""
 
@@ -70,6 +74,26 @@ class Dataset:
         return self.channels == 2
 
     @property
+    def own(self) -> np.ndarray:
+        """(runs, 4) what each run has of its own, before a fit.
+
+        Starting angle (rad), the accelerometer's offset (counts), and what the motor does more than the rig says: a
+        share of the command, and a constant (counts of command).
+        """
+        none = np.zeros(len(self.runs))
+        return np.stack([self.start, self.offset, none, none], axis=1)
+
+    @cached_property
+    def free(self) -> np.ndarray:
+        """(c) the columns of ``own`` that a fit moves."""
+        return np.array([0, 1, 2, 3] if self.has_accel else [0, 2, 3])
+
+    @cached_property
+    def rms_command(self) -> float:
+        """Of all runs, counts."""
+        return float(np.sqrt(np.mean(np.concatenate([run.command for run in self.runs]) ** 2)))
+
+    @property
     def sigma(self) -> np.ndarray:
         """(c) standard deviation of a reading, rounding included, counts."""
         return np.sqrt(np.square(self.noise[: self.channels]) + QUANTISATION)
@@ -101,7 +125,7 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
     kept = logged if windows is None else tuple(_within(w, rows) for w, rows in zip(windows, logged, strict=True))
     encoder, accel, rows = noise_sigmas(list(runs))
     has_accel = rig.accelerometer is not None and all(r.accel is not None for r in runs)
-    meshed = rig.meshed()
+    meshed = uneven(rig.meshed())
     warm = tuple(_warm_rows(meshed, run, (encoder, accel) if has_accel else (encoder,)) for run in runs)
     kept = tuple(k & (np.arange(k.size) >= w) for k, w in zip(kept, warm, strict=True))
     groups = list(dict.fromkeys(zero_ids := [r.metadata.zero_id or f"own {i}" for i, r in enumerate(runs)]))
@@ -122,6 +146,13 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
         np.array([float(np.mean(r.accel[: len(r) if w else max(rest_rows(r), 1)])) if has_accel else 0.0
                   for r, w in zip(runs, warm, strict=True)]), warm,
         tuple(groups.index(z) for z in zero_ids), clock_evidence(runs), tuple(segment), np.array(owner))
+
+
+def uneven(rig: Rig) -> Rig:
+    """A rig whose beam need not be quite uniform: its profile's constants may move by RIGIDITY."""
+    if rig.beam is None:
+        return rig
+    return rig.model_copy(update={"uncertainty": {**dict.fromkeys(sorted(PROFILE), RIGIDITY), **rig.uncertainty}})
 
 
 def beginning(data: Dataset, seconds: float) -> Dataset:

@@ -1,9 +1,9 @@
 """Fitting one hypothesis: Levenberg-Marquardt with priors, per-run nuisances eliminated.
 
 With errors e, Jacobian J and weights W = N/max(S, n)/T of the blocks (see ``likelihood``), a run adds the normal matrix
-J'WJ and the gradient J'We; its starting angle and the accelerometer's offset are eliminated from both (Schur's
-complement).  Derivatives may be handed over from a neighbouring hypothesis; after each step they are corrected by what
-the step did (Broyden 1965), and computed afresh where that does not lead on.
+J'WJ and the gradient J'We; what each run has of its own is eliminated from both (Schur's complement).  Derivatives may
+be handed over from a neighbouring hypothesis; after each step they are corrected by what the step did (Broyden 1965),
+and computed afresh where that does not lead on.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from station.estimation.likelihood import Weighing, cost, nuisance_precision, temperature
+from station.estimation.dataset import Dataset
+from station.estimation.likelihood import LEAST_DIFFERENCE, Weighing, cost, nuisance_precision, temperature
 from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor
 
@@ -25,6 +26,13 @@ PLACE_STEP = 0.02
 """Finite-difference step of the motor's place in a gap (artanh of its share)."""
 OFFSET_STEP = 0.1
 """Finite-difference step of the accelerometer's offset, counts; of the starting angle half a count."""
+LARGEST = np.array([0.03, 0.01])
+"""Most by which runs differ: a share of the command (a motor's torque constant falls by 0.2 % a degree of its ferrite
+magnets: fifteen degrees), and of the amplifier's limit (an offset of its input)."""
+SEVERAL = 3
+"""Runs from which on they can tell how much they differ."""
+ROUNDS = 12
+"""In which these sizes settle."""
 LONGEST = 2.0
 """Longest step in any coordinate, prior sigmas or logarithm."""
 DAMPING, LEAST_DAMPING = 1e-2, 1e-6
@@ -57,12 +65,10 @@ class Fit:
 
     space: Parameters
     x: np.ndarray
-    start: np.ndarray
-    """(runs) rad."""
-    offset: np.ndarray
-    """(runs) counts."""
+    own: np.ndarray
+    """(runs, 4) what each run has of its own (``Dataset.own``)."""
     away: np.ndarray
-    """(runs, c) of start and offset from what was read."""
+    """(runs, c) of that, as far as it is free, from where it was before the fit."""
     objective: float
     """-2 ln of likelihood (tempered) times priors."""
     squares: np.ndarray
@@ -78,7 +84,7 @@ class Fit:
     information: Information
     weighing: Weighing
     nuisance: np.ndarray
-    """(c) prior precisions."""
+    """(c) prior precisions of what runs have of their own."""
     owner: np.ndarray
     """(s) the run of each stretch."""
 
@@ -120,24 +126,64 @@ class Fit:
         return sums[0], counts, weighing.independent * counts / np.maximum(whole, 1e-9)
 
     def normal(self, weighing: Weighing, drawn: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """Normal matrix (p, p) and gradient (p) of the data, nuisances eliminated."""
+        """Normal matrix (p, p) and gradient (p) of the data, what runs have of their own eliminated."""
         normals, gradients = self.run_normals(weighing, drawn)
         return normals.sum(axis=0), gradients.sum(axis=0)
 
     def run_normals(self, weighing: Weighing, drawn: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """The same run by run: (runs, p, p) and (runs, p)."""
-        info, p, runs = self.information, self.space.size, len(self.squares)
+        matrices, slopes = self._by_run(weighing, drawn)
+        return self._eliminated(matrices, slopes, self.own_precision(weighing.differ))[:2]
+
+    def own_precision(self, differ: tuple[float, float]) -> np.ndarray:
+        """(c) prior precisions of what runs have of their own where they differ by so much."""
+        found = self.nuisance.copy()
+        found[-2:] = np.maximum(differ, LEAST_DIFFERENCE) ** -2.0
+        return found
+
+    def _by_run(self, weighing: Weighing, drawn: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """J'WJ (runs, p + c, p + c) and J'We (runs, p + c)."""
+        info, runs = self.information, len(self.squares)
         w = self.blocks(weighing, drawn)[self.owner] * (1.0 if drawn is None else drawn[:, None])
-        total, slope = np.zeros((runs, p, p)), np.zeros((runs, p))
-        matrices = np.einsum("sb,sbij->sij", w, info.normal)
-        slopes = np.einsum("sb,sbi->si", w, info.gradient)
-        for r in range(runs):
-            m, v = matrices[self.owner == r].sum(axis=0), slopes[self.owner == r].sum(axis=0)
-            inner = m[p:, p:] + np.diag(self.nuisance)
-            solved = np.linalg.solve(inner, np.column_stack([m[p:, :p], v[p:] - self.nuisance * self.away[r]]))
-            total[r] = m[:p, :p] - m[:p, p:] @ solved[:, :p]
-            slope[r] = v[:p] - m[:p, p:] @ solved[:, p]
-        return total, slope
+        matrices = np.zeros((runs, *info.normal.shape[2:]))
+        slopes = np.zeros((runs, info.gradient.shape[2]))
+        np.add.at(matrices, self.owner, np.einsum("sb,sbij->sij", w, info.normal))
+        np.add.at(slopes, self.owner, np.einsum("sb,sbi->si", w, info.gradient))
+        return matrices, slopes
+
+    def _eliminated(self, matrices: np.ndarray, slopes: np.ndarray, own: np.ndarray,
+                    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Normal matrices and gradients of the parameters alone, run by run; (runs, c, c) the inverse precisions of
+        what runs have of their own at given parameters, and (runs, c) their forces."""
+        p = self.space.size
+        inverse = np.linalg.inv(matrices[:, p:, p:] + np.diag(own))
+        force = slopes[:, p:] - own * self.away
+        across = matrices[:, :p, p:] @ inverse
+        return (matrices[:, :p, :p] - across @ matrices[:, p:, :p],
+                slopes[:, :p] - (across @ force[:, :, None])[:, :, 0], inverse, force)
+
+    def most_likely_differ(self, weighing: Weighing) -> tuple[float, float]:
+        """How much runs differ in what the motor does more than the rig says (``Weighing.differ``).
+
+        Empirical Bayes by expectation and maximisation (Dempster, Laird and Rubin, J. R. Stat. Soc. B 39, 1977; Gelman
+        et al., section 13.6), about the fit: the mean over runs of their squares and of what these leave uncertain.
+        """
+        if len(self.squares) < SEVERAL:
+            return 0.0, 0.0
+        p, prior = self.space.size, self.space.precision
+        matrices, slopes = self._by_run(weighing)
+        largest = LARGEST * np.array([1.0, self.space.rig.amplifier.limit])
+        sizes = largest
+        for _ in range(ROUNDS):
+            own = self.own_precision((sizes[0], sizes[1]))
+            normals, gradients, inverse, pull = self._eliminated(matrices, slopes, own)
+            covariance = np.linalg.inv(normals.sum(axis=0) + np.diag(prior))
+            step = covariance @ (gradients.sum(axis=0) - prior * (self.x - self.space.mean))
+            coupled = inverse @ matrices[:, p:, :p]
+            away = self.away + (inverse @ pull[:, :, None])[:, :, 0] - coupled @ step
+            variance = np.diagonal(inverse + coupled @ covariance @ coupled.transpose(0, 2, 1), axis1=1, axis2=2)
+            sizes = np.minimum(np.sqrt(np.mean((away**2 + variance)[:, -2:], axis=0)), largest)
+        return float(sizes[0]), float(sizes[1])
 
     @cached_property
     def precision(self) -> np.ndarray:
@@ -154,25 +200,31 @@ class Fit:
 
         Under another weighing, or of a resample, one Gauss-Newton step is taken from the fit.
         """
-        prior, delta = self.space.precision, self.x - self.space.mean
+        p, prior, own = self.space.size, self.space.precision, self.own_precision(weighing.differ)
+        delta = self.x - self.space.mean
         squares, counts, independent = self.drawn(weighing, drawn)
-        normal, slope = self.normal(weighing, drawn)
-        matrix, force = normal + np.diag(prior), slope - prior * delta
-        gained = float(force @ np.linalg.solve(matrix, force))
-        value = (cost(squares, counts, independent) / weighing.temperature + float(prior @ delta**2)
-                 + float(np.sum(self.nuisance * self.away**2)) - min(gained, MOST_GAINED))
-        return -0.5 * value + 0.5 * float(np.sum(np.log(prior))) - 0.5 * float(np.linalg.slogdet(matrix)[1])
+        matrices, slopes = self._by_run(weighing, drawn)
+        normals, gradients, inverse, pull = self._eliminated(matrices, slopes, own)
+        matrix = normals.sum(axis=0) + np.diag(prior)
+        step = np.linalg.solve(matrix, gradients.sum(axis=0) - prior * delta)
+        moved = (inverse @ (pull - matrices[:, p:, :p] @ step)[:, :, None])[:, :, 0]
+        whole = np.concatenate([np.broadcast_to(step, (len(moved), p)), moved], axis=1)
+        gained = float(np.sum(whole * (2.0 * slopes - (matrices @ whole[:, :, None])[:, :, 0])))
+        value = (cost(squares, counts, independent) / weighing.temperature - min(gained, MOST_GAINED)
+                 + float(prior @ (delta + step) ** 2) + float(np.sum(own * (self.away + moved) ** 2)))
+        volume = (float(np.sum(np.log(prior))) - float(np.linalg.slogdet(matrix)[1])
+                  + len(self.squares) * float(np.sum(np.log(own))) + float(np.linalg.slogdet(inverse)[1].sum()))
+        return -0.5 * value + 0.5 * volume
 
 
 MOST_GAINED = 20.0
-"""What a step that is not simulated may promise of the objective."""
+"""What a step that is not simulated may promise of the data's part of the objective."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Point:
     x: np.ndarray
-    start: np.ndarray
-    offset: np.ndarray
+    own: np.ndarray
     predicted: list[np.ndarray]
     residuals: list[np.ndarray]
     squares: np.ndarray
@@ -189,26 +241,25 @@ class _Descent:
         self.scale = [predictor.scale(r) for r in range(len(data.runs))]
         self.measured = [predictor.measured(r) for r in range(len(data.runs))]
         self.counts = predictor.counts
-        self.nuisance = nuisance_precision(data)
-        self.steps = np.full(space.size + data.channels, STEP)
+        self.nuisance = nuisance_precision(data, weighing.differ)
+        self.steps = np.append(np.full(space.size, STEP), own_steps(data)[data.free])
         self.steps[space.parts["places"]] = PLACE_STEP
-        self.steps[space.size:] = [0.5 * data.rig.angle_per_count, OFFSET_STEP][: data.channels]
 
-    def away(self, start: np.ndarray, offset: np.ndarray) -> np.ndarray:
-        return np.stack([start - self.data.start, offset - self.data.offset], axis=1)[:, : self.data.channels]
+    def away(self, own: np.ndarray) -> np.ndarray:
+        return (own - self.data.own)[:, self.data.free]
 
-    def at(self, x: np.ndarray, start: np.ndarray, offset: np.ndarray) -> _Point:
+    def at(self, x: np.ndarray, own: np.ndarray) -> _Point:
         """Predict, and judge."""
-        predicted = self.predictor.runs(self.space, x, start, offset, parallel=self.parallel)
+        predicted = self.predictor.runs(self.space, x, own, parallel=self.parallel)
         with np.errstate(over="ignore", invalid="ignore"):
             residuals = [(m - y) * s for m, y, s in zip(self.measured, predicted, self.scale, strict=True)]
             squares = np.array([np.sum(e * e, axis=1) for e in residuals])
         value = cost(squares[self.runs > 0.0], self.counts[self.runs > 0.0],
                      (self.runs[:, None] * self.weighing.independent)[self.runs > 0.0]) / self.weighing.temperature
         value += float(self.space.precision @ (x - self.space.mean) ** 2)
-        value += float(np.sum(self.nuisance * self.away(start, offset) ** 2))
+        value += float(np.sum(self.nuisance * self.away(own) ** 2))
         value = value if np.all(np.isfinite(squares)) else np.inf
-        return _Point(x, start, offset, predicted, residuals, squares, value)
+        return _Point(x, own, predicted, residuals, squares, value)
 
     def column(self, here: _Point, k: int) -> list[np.ndarray]:
         """Derivatives of the scaled predictions by one parameter or nuisance, per run; 0 where none is simulated.
@@ -217,15 +268,12 @@ class _Descent:
         """
         p = self.space.size
         for way in (1.0, -1.0):
-            x, start, offset, step = here.x, here.start, here.offset, way * self.steps[k]
+            x, own, step = here.x.copy(), here.own.copy(), way * self.steps[k]
             if k < p:
-                x = x.copy()
                 x[k] += step
-            elif k == p:
-                start = start + step
             else:
-                offset = offset + step
-            moved = self.predictor.runs(self.space, x, start, offset)
+                own[:, self.data.free[k - p]] += step
+            moved = self.predictor.runs(self.space, x, own)
             if all(np.all(np.isfinite(y)) for y in moved):
                 return [(y - y0) * s / step for y, y0, s in zip(moved, here.predicted, self.scale, strict=True)]
         return [np.zeros_like(y) for y in here.predicted]
@@ -233,19 +281,20 @@ class _Descent:
     def jacobian(self, here: _Point, only: slice | None = None) -> list[np.ndarray]:
         """Per run (p + c, b, n); a motor's place in a gap moves its own run alone."""
         p, places = self.space.size, self.space.parts["places"]
-        wanted = range(p + self.data.channels) if only is None else range(*only.indices(p))
+        size = p + len(self.data.free)
+        wanted = range(size) if only is None else range(*only.indices(p))
         shared = [k for k in wanted if not places.start <= k < places.stop]
         if self.space.gap_places:
-            moved = _Point(here.x.copy(), here.start, here.offset, here.predicted, here.residuals, here.squares, 0.0)
+            moved = _Point(here.x.copy(), here.own, here.predicted, here.residuals, here.squares, 0.0)
         found = dict(zip(shared, (self.predictor.pool.map if self.parallel else map)(
             lambda k: self.column(here, k), shared), strict=True))
         if self.space.gap_places:
             moved.x[places] += PLACE_STEP
-            outputs = self.predictor.runs(self.space, moved.x, here.start, here.offset)
+            outputs = self.predictor.runs(self.space, moved.x, here.own)
             changes = [(y - y0) * s / PLACE_STEP for y, y0, s in zip(outputs, here.predicted, self.scale, strict=True)]
         rows = []
         for r, y in enumerate(here.predicted):
-            out = np.zeros((p + self.data.channels, *y.shape))
+            out = np.zeros((size, *y.shape))
             for k in wanted:
                 out[k] = found[k][r] if k in found else changes[r] if k - places.start == r else 0.0
             rows.append(out)
@@ -257,7 +306,7 @@ class _Descent:
         matrix, force, back = np.diag(prior).copy(), -prior * (here.x - self.space.mean), []
         w = (self.weighing.independent / np.maximum(here.squares, self.counts) / self.weighing.temperature
              * self.runs[:, None])
-        away = self.away(here.start, here.offset)
+        away = self.away(here.own)
         for r, (j, e) in enumerate(zip(jac, here.residuals, strict=True)):
             root = np.sqrt(np.maximum(w[r], 1e-12))[:, None]
             flat = (j * root).reshape(len(j), -1)
@@ -276,9 +325,10 @@ class _Descent:
             return None
         step *= min(1.0, LONGEST / max(np.max(np.abs(step)), 1e-300))
         nuisance = np.array([b[:, -1] - b[:, :-1] @ step for b in back])
-        count = self.data.rig.angle_per_count
-        start = np.clip(here.start + nuisance[:, 0], self.data.start - count, self.data.start + count)
-        return self.at(here.x + step, start, here.offset + nuisance[:, 1] if self.data.has_accel else here.offset)
+        own, count = here.own.copy(), self.data.rig.angle_per_count
+        own[:, self.data.free] += nuisance
+        own[:, 0] = np.clip(own[:, 0], self.data.start - count, self.data.start + count)
+        return self.at(here.x + step, own)
 
     def information(self, here: _Point, jac: list[np.ndarray]) -> Information:
         """Sums over the stretches."""
@@ -298,10 +348,14 @@ class _Descent:
         return Information(squares, counts, normal, gradient)
 
 
-def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarray, start: np.ndarray | None = None,
-        offset: np.ndarray | None = None, *, iterations: int = 25, tolerance: float = 0.1,
-        runs: np.ndarray | None = None, jacobian: list[np.ndarray] | None = None, renewals: int = 100,
-        parallel: bool = True) -> Fit:
+def own_steps(data: Dataset) -> np.ndarray:
+    """(4) finite-difference steps of what runs have of their own."""
+    return np.array([0.5 * data.rig.angle_per_count, OFFSET_STEP, STEP, STEP * max(data.rms_command, 1.0)])
+
+
+def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarray, own: np.ndarray | None = None, *,
+        iterations: int = 25, tolerance: float = 0.1, runs: np.ndarray | None = None,
+        jacobian: list[np.ndarray] | None = None, renewals: int = 100, parallel: bool = True) -> Fit:
     """Minimise the objective from ``x``; ``tolerance`` is the fall of it that ends the fit.
 
     ``runs`` (runs): weights, of which 0 leaves a run out; its nuisances follow all the same.  ``jacobian`` (per run
@@ -311,7 +365,7 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
     """
     data = predictor.data
     descent = _Descent(predictor, space, weighing, np.ones(len(data.runs)) if runs is None else runs, parallel)
-    here = descent.at(x, data.start if start is None else start, data.offset if offset is None else offset)
+    here = descent.at(x, data.own if own is None else own)
     if not np.isfinite(here.objective):
         raise ArithmeticError("the fit's start does not simulate")
     fresh = jacobian is None
@@ -344,17 +398,16 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
         if renewals <= 0 or (gain < tolerance and fresh) or (gain < tolerance and found is not None and ratio > POOR):
             break
         jac, fresh, renewals = descent.jacobian(here), True, renewals - 1
-    return Fit(space, here.x, here.start, here.offset, descent.away(here.start, here.offset), here.objective,
-               here.squares, descent.counts, here.residuals, here.predicted, jac, descent.information(here, jac),
-               weighing, descent.nuisance, data.segment_run)
+    return Fit(space, here.x, here.own, descent.away(here.own), here.objective, here.squares, descent.counts,
+               here.residuals, here.predicted, jac, descent.information(here, jac), weighing, descent.nuisance,
+               data.segment_run)
 
 
 def _broyden(jac: list[np.ndarray], old: _Point, new: _Point, descent: _Descent) -> None:
     """Correct Jacobians (per run) so that they give what a step did; nuisances in units of their priors."""
     units = np.concatenate([np.ones(descent.space.size), np.sqrt(descent.nuisance)])
     for r, j in enumerate(jac):
-        nuisances = [new.start[r] - old.start[r], new.offset[r] - old.offset[r]][: len(descent.nuisance)]
-        step = np.concatenate([new.x - old.x, nuisances])
+        step = np.concatenate([new.x - old.x, (new.own - old.own)[r, descent.data.free]])
         norm = float(np.sum((step * units) ** 2))
         if norm > 1e-12:
             change = (new.predicted[r] - old.predicted[r]) * descent.scale[r]
@@ -378,10 +431,11 @@ def inherited(parent: Fit, space: Parameters) -> list[np.ndarray]:
 def weighing_of(predictor: Predictor, found: Fit) -> Weighing:
     """What the blocks count for where a fit's errors are taken for what a model of this rig leaves."""
     independent = predictor.independent(found.residuals)
-    cold = Weighing(independent, 1.0)
+    cold = Weighing(independent, 1.0, found.weighing.differ)
     curvature, _ = found.normal(cold)
     slopes = _stretch_slopes(found, cold)
-    return Weighing(independent, temperature(curvature, slopes.T @ slopes, found.space.precision))
+    warm = replace(cold, temperature=temperature(curvature, slopes.T @ slopes, found.space.precision))
+    return replace(warm, differ=found.most_likely_differ(warm))
 
 
 def _stretch_slopes(found: Fit, weighing: Weighing) -> np.ndarray:
@@ -394,6 +448,6 @@ def _stretch_slopes(found: Fit, weighing: Weighing) -> np.ndarray:
     for r in range(len(found.squares)):
         own = found.owner == r
         m = matrices[own].sum(axis=0)
-        take = np.linalg.solve(m[p:, p:] + np.diag(found.nuisance), m[p:, :p])
+        take = np.linalg.solve(m[p:, p:] + np.diag(found.own_precision(weighing.differ)), m[p:, :p])
         out[own] = slopes[own][:, :p] - slopes[own][:, p:] @ take
     return out

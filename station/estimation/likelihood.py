@@ -31,6 +31,8 @@ BANDS = 12.0
 """Half-width over which spectra are smoothed where independent errors are counted, over the cube root of n."""
 NUISANCES = (0.35, 0.5)
 """Prior sigmas of a run's starting angle and accelerometer offset, counts: rounding's, and drift between tests."""
+LEAST_DIFFERENCE = 1e-6
+"""Share of the command, and counts, by which runs differ where they do not."""
 TEMPERATURES = 4
 """Rounds in which a temperature and the precision that it enters settle."""
 
@@ -42,6 +44,9 @@ class Weighing:
     independent: np.ndarray
     """(runs, b) N."""
     temperature: float
+    differ: tuple[float, float] = (0.0, 0.0)
+    """Standard deviations, from run to run, of what the motor does more than the rig says: a share of the command, and
+    a constant (counts of command)."""
 
 
 def block_scale(data: Dataset, run: int, channel: np.ndarray) -> np.ndarray:
@@ -102,7 +107,8 @@ def temperature(curvature: np.ndarray, scatter: np.ndarray, prior: np.ndarray) -
     return found
 
 
-def nuisance_precision(data: Dataset) -> np.ndarray:
-    """(c) prior precisions of a run's starting angle (1/rad^2) and accelerometer offset (1/counts^2)."""
+def nuisance_precision(data: Dataset, differ: tuple[float, float]) -> np.ndarray:
+    """(c) prior precisions of what each run has of its own (``Dataset.own``, its free columns)."""
     angle, offset = NUISANCES
-    return np.array([(angle * data.rig.angle_per_count) ** -2, offset**-2])[: data.channels]
+    sigmas = np.array([angle * data.rig.angle_per_count, offset, *(max(size, LEAST_DIFFERENCE) for size in differ)])
+    return sigmas[data.free] ** -2.0

@@ -39,8 +39,8 @@ SPAN = math.pi
 
 
 @kernel()
-def _predict(plan, state, gain, torque_gain, decay, first, end, span, offset, command, measured, logged, predicted,
-             disturbance, work):
+def _predict(plan, state, gain, torque_gain, decay, first, end, span, offset, command, further, measured, logged,
+             predicted, disturbance, work):
     if first == 0:
         begin(plan, state)
     d, plain = 0.0, is_plain(plan)
@@ -58,40 +58,43 @@ def _predict(plan, state, gain, torque_gain, decay, first, end, span, offset, co
             d = decay * (d + torque_gain * error)
         disturbance[row] = d
         if plain:
-            advance_plain(plan, state, command[row] + d)
+            advance_plain(plan, state, command[row] + further[row] + d)
         else:
-            advance(plan, state, command[row], d, work)
+            advance(plan, state, command[row], further[row] + d, work)
 
 
 def predict(model: Model, observer: Observer, measured: np.ndarray, command: np.ndarray, *, start_angle: float,
             offset: float, zero: float = 0.0, gap_place: float = 0.0, equilibrium: bool = False,
             logged: np.ndarray | None = None, warm: tuple[Observer, int] | None = None,
-            ) -> tuple[np.ndarray, np.ndarray]:
+            more: tuple[float, float] = (0.0, 0.0)) -> tuple[np.ndarray, np.ndarray]:
     """One run: predicted channels (2, n), counts, unrounded, and the observer's torque (n), counts of command.
 
     ``measured`` (2, n) counts, ``command`` (n) counts as logged; angles in rad.  Where ``logged`` (n) is False nothing
     was read, and the observer runs on with its torque.  ``warm``: the observer that finds the state in so many first
-    rows, of a run that begins in motion.
+    rows, of a run that begins in motion.  ``more``: what the motor does more in this run, a share of the command and a
+    constant (counts of command).
     """
     state = initial_state(model, start_angle, zero, equilibrium=equilibrium, gap_place=gap_place)
     predicted, disturbance = np.zeros(measured.shape), np.zeros(len(command))
     read = np.ones(len(command), dtype=bool) if logged is None else logged
     work, count = np.zeros((4, max(model.plan.port_joint.size, 1))), SPAN / model.rig.angle_per_count
     quick, rows = warm or (observer, 0)
+    further = more[0] * command + more[1]
     for used, first, end in ((quick, 0, rows), (observer, rows, len(command))):
         if end > first:
             _predict(model.plan, state, model.form.inverse @ used.state, used.torque, used.decay, first, end, count,
-                     offset, command, measured, read, predicted, disturbance, work)
+                     offset, command, further, measured, read, predicted, disturbance, work)
     return predicted, disturbance
 
 
-def predict_run(data: Dataset, model: Model, observer: Observer, run: int, start: float, offset: float, *,
+def predict_run(data: Dataset, model: Model, observer: Observer, run: int, own: np.ndarray, *,
                 zero: float = 0.0, place: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """As ``predict``, one run of a dataset; ``start`` (rad) is what the encoder reads at sample 0."""
+    """As ``predict``, one run of a dataset; ``own`` (4) as ``Dataset.own`` has it."""
     this, rows = data.runs[run], data.warm[run]
+    start, offset, share, constant = (float(value) for value in own)
     return predict(model, observer, data.measured[run], np.ascontiguousarray(this.command, dtype=float),
                    start_angle=angle_that_reads(model.rig, start, zero), offset=offset, zero=zero, gap_place=place,
-                   equilibrium=this.metadata.start == "equilibrium", logged=data.logged[run],
+                   equilibrium=this.metadata.start == "equilibrium", logged=data.logged[run], more=(share, constant),
                    warm=(observers(data.rig, data.noise[0], (FINDS,))[0], rows) if rows else None)
 
 
@@ -144,21 +147,19 @@ class Predictor:
         truncation, longest, longest_gap = self.accuracy
         return build(space.rig_at(x), truncation, longest_gap if space.gap_places else longest)
 
-    def run(self, model: Model, space: Parameters, x: np.ndarray, run: int, start: float, offset: float,
-            ) -> np.ndarray:
-        """One run's predictions (b, n), counts; ``start`` (rad) is what the encoder reads at sample 0."""
+    def run(self, model: Model, space: Parameters, x: np.ndarray, run: int, own: np.ndarray) -> np.ndarray:
+        """One run's predictions (b, n), counts; ``own`` (4) as ``Dataset.own`` has it."""
         zero, place = space.zero(x, self.data.zero_group[run]), space.place(x, run)
-        found = [predict_run(self.data, model, observer, run, start, offset, zero=zero, place=place)[0]
+        found = [predict_run(self.data, model, observer, run, own, zero=zero, place=place)[0]
                  for observer in self.observers]
         blocks = [y[0] for y in found] + [found[len(found) // 2][1] for _ in range(self._accelerometers)]
         return np.reshape(blocks, (len(blocks), len(self.data.runs[run])))
 
-    def runs(self, space: Parameters, x: np.ndarray, start: np.ndarray, offset: np.ndarray, *,
-             parallel: bool = False) -> list[np.ndarray]:
-        """Every run's predictions; ``parallel`` not from one of the pool's threads."""
+    def runs(self, space: Parameters, x: np.ndarray, own: np.ndarray, *, parallel: bool = False) -> list[np.ndarray]:
+        """Every run's predictions, ``own`` (runs, 4); ``parallel`` not from one of the pool's threads."""
         model = self.model(space, x)
         return list((self.pool.map if parallel else map)(
-            lambda r: self.run(model, space, x, r, float(start[r]), float(offset[r])), range(len(self.data.runs))))
+            lambda r: self.run(model, space, x, r, own[r]), range(len(self.data.runs))))
 
 
 def angle_that_reads(rig: Rig, reading: float, zero: float) -> float:

@@ -107,12 +107,12 @@ class ResponsePredictor(Predictor):
         times = len(self.channel)
         return np.hstack([super().independent([e[:times] for e in residuals]), ALIKE * self.counts[:, times:]])
 
-    def run(self, model: Model, space: Parameters, x: np.ndarray, run: int, start: float, offset: float) -> np.ndarray:
+    def run(self, model: Model, space: Parameters, x: np.ndarray, run: int, own: np.ndarray) -> np.ndarray:
         """One run's predictions (b, n): readings, counts, and logarithms of responses, phases nearest the measured."""
         def response(s: Spectrum) -> np.ndarray:
             simulated = getattr(finite_element_response(model.rig, s.frequency), s.sensor)
             return np.log(s.value) - np.log(s.value / simulated)
-        return self._joined(run, super().run(model, space, x, run, start, offset), response)
+        return self._joined(run, super().run(model, space, x, run, own), response)
 
     def _joined(self, run: int, times: np.ndarray, of: Callable[[Spectrum], np.ndarray]) -> np.ndarray:
         """Blocks in time (b, n) and below them the real and imaginary part of what ``of`` says of every response."""

@@ -16,12 +16,13 @@ the spread as a share of the value.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from station.estimation.least_squares import Fit
+from station.estimation.likelihood import Weighing
 
 WIDEST = 10.0
 """Largest spread that is tried, in units of the parameter: ten times the value, or ten usual sizes."""
@@ -67,3 +68,17 @@ def between_runs(found: Fit, direction: np.ndarray) -> Spread:
     size = float(np.exp(best.x))
     loosened = shared - coupled.T @ (coupled / (own + size**-2)[:, None])
     return Spread(size, -float(best.fun), np.linalg.inv(loosened))
+
+
+def differences(found: Fit, weighing: Weighing, varies: float) -> tuple[float | None, float | None]:
+    """How much runs differ in what the motor does more than the rig says, as ``Weighing.differ`` has it; None where
+    that gains no more than ``varies`` in 2 ln L."""
+    likely = found.most_likely_differ(weighing)
+
+    def evidence(differ: tuple[float, float]) -> float:
+        return found.log_evidence(replace(weighing, differ=differ))
+
+    whole = evidence(likely)
+    share, constant = (size if 2.0 * (whole - evidence(without)) > varies else None
+                       for size, without in zip(likely, ((0.0, likely[1]), (likely[0], 0.0)), strict=True))
+    return share, constant

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -43,7 +44,7 @@ def fit(rig: Rig, runs: Sequence[Run], hold: Sequence[str] | None = None, *, dom
         raise UsageError(f"domain {domain!r} is none of time, frequency, both")
     if not runs:
         raise UsageError("a fit wants at least one run")
-    data = dataset(rig, [runs[i] for i in canonical_order(runs)])
+    data = replace(dataset(rig, [runs[i] for i in canonical_order(runs)]), rig=rig.meshed())
     constants = list(data.rig.constants())
     held = tuple(hold) if hold is not None else tuple([path for path in HELD if path in constants][:1])
     for path in held:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from station.model.beam import beam_matrices, element_strain
+from station.model.beam import beam_matrices, element_strain, rigidity
 from station.rig import Rig
 
 
@@ -69,7 +69,8 @@ def assemble(rig: Rig) -> Assembly:
     rigid[: base + 1] = 1.0
     if beam is None:
         return Assembly(mass, damping, stiffness, rigid, motor, base, None, None, np.zeros(0, dtype=int))
-    beam_mass, beam_stiffness = beam_matrices(beam.mass_per_length, beam.flexural_rigidity, beam.length, beam.elements)
+    beam_mass, beam_stiffness = beam_matrices(beam.mass_per_length, beam.flexural_rigidity, beam.length, beam.elements,
+                                              beam.profile)
     at = slice(root, size)
     mass[at, at] += beam_mass[1:, 1:]
     stiffness[at, at] += beam_stiffness[1:, 1:]
@@ -100,8 +101,9 @@ def strain(rig: Rig) -> np.ndarray:
         count = rig.beam.elements
         element = element_strain(rig.beam.flexural_rigidity, rig.beam.length / count)
         bent = np.zeros((2 * count, 2 * count + 2))
-        for i in range(count):
-            bent[2 * i:2 * i + 2, 2 * i:2 * i + 4] = element
+        shares = rigidity(count, rig.beam.profile)
+        for i, share in enumerate(shares):
+            bent[2 * i:2 * i + 2, 2 * i:2 * i + 4] = np.sqrt(share) * element
         beam = np.zeros((2 * count, parts.size))
         beam[:, parts.root:] = bent[:, 1:]
         rows.extend(beam)

@@ -13,6 +13,8 @@ a rotation in radians is used here throughout, so that every other part joins wi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 REAL_ELEMENTS = 16
@@ -47,15 +49,23 @@ def element_strain(flexural_rigidity: float, h: float) -> np.ndarray:
     return np.sqrt(flexural_rigidity / h * np.array([[1.0], [3.0]])) * bend
 
 
+def rigidity(elements: int, factors: Sequence[float]) -> np.ndarray:
+    """(elements) rigidity in the middle of every element over the mean: product of factors ^ cos(k pi x/L)."""
+    x = (np.arange(elements) + 0.5) / elements
+    waves = np.array([np.cos(k * np.pi * x) for k in range(1, len(factors) + 1)]).reshape(len(factors), elements)
+    return np.exp(np.log(np.asarray(factors, dtype=float)) @ waves)
+
+
 def beam_matrices(mass_per_length: float, flexural_rigidity: float, length: float,
-                  elements: int) -> tuple[np.ndarray, np.ndarray]:
-    """Mass and stiffness (2n+2 x 2n+2) of a free beam, nodes [y0, theta0, y1, theta1, ...]."""
+                  elements: int,
+                  factors: Sequence[float] = ()) -> tuple[np.ndarray, np.ndarray]:
+    """Mass and stiffness (2n+2 x 2n+2) of a free beam, nodes [y0, theta0, ...]; ``factors``: see ``rigidity``."""
     h = length / elements
     mass, stiffness = element_mass(mass_per_length, h), element_stiffness(flexural_rigidity, h)
     size = 2 * elements + 2
     total_mass, total_stiffness = np.zeros((size, size)), np.zeros((size, size))
-    for start in range(0, 2 * elements, 2):
-        at = slice(start, start + 4)
+    for i, share in enumerate(rigidity(elements, factors)):
+        at = slice(2 * i, 2 * i + 4)
         total_mass[at, at] += mass
-        total_stiffness[at, at] += stiffness
+        total_stiffness[at, at] += share * stiffness
     return total_mass, total_stiffness

@@ -29,6 +29,7 @@ import numpy as np
 from numba import njit
 
 from station.control.compensators import Compensator, commanded
+from station.errors import UsageError
 from station.model.assembly import Assembly, assemble
 from station.model.beam import element_stiffness
 from station.model.simulate import limit_of
@@ -40,6 +41,8 @@ def lumped_assembly(rig: Rig, lumps: int) -> Assembly:
     """The rig with its beam as a chain of ``lumps`` rigid pieces; same coordinates as ``assemble``."""
     if rig.beam is None:
         return assemble(rig)
+    if any(factor != 1.0 for factor in rig.beam.profile):
+        raise UsageError(f"{rig.name}: beam.rigidity_1 to 3 are for finite elements; a chain of lumps is uniform")
     beam = rig.beam.model_copy(update={"elements": lumps})
     parts = assemble(rig.model_copy(update={"beam": beam}))
     h = beam.length / lumps

@@ -25,7 +25,7 @@ import numpy as np
 import scipy.linalg
 
 from station.errors import UsageError
-from station.model.beam import element_mass, element_stiffness
+from station.model.beam import element_mass, element_stiffness, rigidity
 from station.rig import Rig
 
 
@@ -85,10 +85,10 @@ def slewing_link(rig: Rig, ratios: tuple[float, float] | None = None) -> Slewing
     h = beam.length / n
     # With the hub's own w_0 and phi_0, dropped below.
     mass, stiffness = np.zeros((2 * n + 3, 2 * n + 3)), np.zeros((2 * n + 3, 2 * n + 3))
-    for number in range(1, n + 1):
+    for number, share in enumerate(rigidity(n, beam.profile), start=1):
         at = np.r_[0, 2 * number - 1:2 * number + 3]
         mass[np.ix_(at, at)] += slewing_element_mass(beam.mass_per_length, h, number)
-        stiffness[np.ix_(at, at)] += slewing_element_stiffness(beam.flexural_rigidity, h)
+        stiffness[np.ix_(at, at)] += slewing_element_stiffness(beam.flexural_rigidity * share, h)
     kept = np.r_[0, 3:2 * n + 3]
     mass, stiffness = mass[np.ix_(kept, kept)], stiffness[np.ix_(kept, kept)]
     mass[0, 0] += rig.motor.inertia + (0.0 if rig.base is None else rig.base.inertia)

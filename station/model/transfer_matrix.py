@@ -12,8 +12,8 @@ so that a piece of length l carries z by T = exp(A l), whose entries are the ser
 frequency. The Riccati form of the method (Horner and Pilkey, J. Mech. Design 100, 1978) does not: it
 carries the 2 x 2 relation [m, q] = S [w, theta] from the tip to the root, piece by piece, each short enough
 for its matrix to be benign.  At the root w = 0, which leaves one number: the beam's impedance -S[0, 1],
-torque over rotation.  Clamp, base, drive and motor then follow as impedances in a chain.  Where a part is
-missing, so is its step.
+torque over rotation.  A rigidity that varies along the beam is taken in STEPS.  Clamp, base, drive and
+motor then follow as impedances in a chain.  Where a part is missing, so is its step.
 
 All functions take complex s (rad/s) of any shape; s = j omega gives the frequency response.
 """
@@ -26,10 +26,13 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.optimize
 
+from station.model.beam import rigidity
 from station.rig import Beam, Rig
 
 PIECE = 1.0
 """Largest |beta| times length of one piece."""
+STEPS = 128
+"""Steps of a beam whose rigidity varies along it."""
 TERMS = 6
 """Terms of each series: the first one left out is below |beta l|^24 / 24! = 2e-24."""
 
@@ -101,8 +104,12 @@ def chain_response(rig: Rig, s: np.ndarray, overhang: float = 0.0) -> ChainRespo
         if rig.tip is not None:
             relation[..., 0, 1] -= rig.tip.inertia * s**2
             relation[..., 1, 0] += rig.tip.mass * s**2
-        relation, transfer, pivots = _carry(beam, s, beam.length, relation)
-        characteristic = characteristic * pivots
+        transfer: np.ndarray = np.eye(2, dtype=complex)
+        shares = rigidity(STEPS, beam.profile) if any(factor != 1.0 for factor in beam.profile) else np.ones(1)
+        for share in shares[::-1]:
+            step = beam.model_copy(update={"flexural_rigidity": beam.flexural_rigidity * float(share)})
+            relation, further, pivots = _carry(step, s, beam.length / len(shares), relation)
+            characteristic, transfer = characteristic * pivots, transfer @ further
         impedance = -relation[..., 0, 1]
         tip = s**2 * transfer[..., 0, 1]
     root_per_base = np.ones(s.shape, dtype=complex)

@@ -9,8 +9,9 @@ import numpy as np
 UNITS = {"motor.inertia": "kg m^2", "motor.damping": "N m s/rad", "motor.gain": "N m/count",
          "drive.stiffness": "N m/rad", "drive.damping": "N m s/rad", "base.inertia": "kg m^2",
          "clamp.stiffness": "N m/rad", "clamp.damping": "N m s/rad", "beam.mass_per_length": "kg/m",
-         "beam.length": "m", "beam.flexural_rigidity": "N m^2", "beam.damping": "s", "tip.mass": "kg",
-         "tip.inertia": "kg m^2", "accelerometer.gain": "counts s^2/m"}
+         "beam.length": "m", "beam.flexural_rigidity": "N m^2", "beam.damping": "s",
+         "beam.rigidity_1": "1", "beam.rigidity_2": "1", "beam.rigidity_3": "1",
+         "tip.mass": "kg", "tip.inertia": "kg m^2", "accelerometer.gain": "counts s^2/m"}
 _BASE = {"N": (1, -1, 0), "kg": (1, -2, 2), "m": (0, 1, 0), "s": (0, 0, 1),
          **dict.fromkeys(("1", "rad", "rev", "count", "counts"), (0, 0, 0))}
 

@@ -48,8 +48,8 @@ def print_diagnosis(result: DiagnosisResult, console: Console, rig: str = "RIG")
     if result.comparisons:
         print_comparison(result.comparisons, console)
     _print_ahead(found, console)
-    if missing := wording.disturbance(found):
-        console.print(_plain(missing))
+    for told in filter(None, (wording.disturbance(found), wording.between_runs(found))):
+        console.print(_plain(told))
     if gone := wording.gone(found):
         console.print(wording.sentence(f"on runs that no fit has seen, {gone}"))
     if found.next_experiment is not None:

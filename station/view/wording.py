@@ -366,6 +366,18 @@ def disturbance(diagnosis: Diagnosis) -> str:
     return f"{words}, {percent(found.extended)} with the causes." if diagnosis.causes else f"{words}."
 
 
+def between_runs(diagnosis: Diagnosis) -> str:
+    """In what the runs differ by themselves, as a sentence; empty where they do not."""
+    found = diagnosis.between_runs
+    if found is None:
+        return ""
+    sizes = [f"{percent(found.share)} of its command" if found.share is not None else "",
+             f"{number(found.constant, 2)} counts of it" if found.constant is not None else ""]
+    told = " and ".join(filter(None, sizes))
+    return f"From run to run the motor does more or less by {told} (standard deviations), as no cause " \
+           "with one value for all runs can." if told else ""
+
+
 def why_lost(cause: RankedCause, first: RankedCause | None, named: bool) -> str:
     """Why a candidate stands where it does: its own note, or what the numbers say."""
     if named:

@@ -82,8 +82,8 @@ def strict(text: str) -> dict:
 def test_the_file_has_the_contracts_keys(diagnoses, name):
     runs, result = diagnoses(name)
     said = strict(result.diagnosis.to_json())
-    assert set(said) == {"schema", "verdict", "wrong", "causes", "gain", "next_experiment", "disturbance", "ranking",
-                         "rig", "runs", "effort", "version"}
+    assert set(said) == {"schema", "verdict", "wrong", "causes", "gain", "next_experiment", "disturbance",
+                         "between_runs", "ranking", "rig", "runs", "effort", "version"}
     assert said["schema"] == "station-diagnosis/1" and said["verdict"] in VERDICTS
     names = {run.name for run in runs}
     for row in said["wrong"]:

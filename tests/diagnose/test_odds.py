@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from station.diagnose import odds as module
-from station.diagnose.odds import RESAMPLES, normalised, odds, resamples
+from station.diagnose.odds import RESAMPLES, Odds, by_law, normalised, odds, resamples
 from station.diagnose.thresholds import BEYOND
 
 FRICTION, DEAD_ZONE = ("coulomb_friction", "motor"), ("dead_zone", "amplifier")
@@ -109,3 +110,27 @@ def test_a_common_factor_that_the_others_show_is_no_deviation_of_one() -> None:
     sigma = {"a": 0.01, "b": 0.01}
     apart = SimpleNamespace(space=found.space, logs=np.array([0.4, 0.0]))
     assert module.deviation(found, sigma, shared, "a") < 1.0 < BEYOND < module.deviation(apart, sigma, shared, "a")
+
+
+def torn(motor: float, base: float, nothing: float = 0.0) -> Odds:
+    """Friction that resamples put now at the motor, now at the base."""
+    at_motor, at_base = frozenset({FRICTION, GAIN}), frozenset({("coulomb_friction", "base"), GAIN})
+    found = normalised({keys: math.log(max(p, 1e-9)) for keys, p in
+                        ((at_motor, motor), (at_base, base), (frozenset({GAIN}), nothing))},
+                       {FRICTION: motor, ("coulomb_friction", "base"): base, GAIN: 1.0})
+    return replace(found, laws={"coulomb_friction": motor + base, "parameter:motor.gain": 1.0})
+
+
+def test_a_law_whose_place_cannot_be_told_is_stated_by_itself_at_the_first_of_its_likely_places() -> None:
+    found = by_law(torn(0.4, 0.55, 0.05))
+    assert found.causes[FRICTION] == pytest.approx(0.95) and found.stability[FRICTION] == pytest.approx(0.95)
+    assert found.sets[0][0] == frozenset({FRICTION, GAIN})
+    assert found.replacements(found.sets[0][0], FRICTION) == {("coulomb_friction", "base"): pytest.approx(0.55)}
+
+
+def test_a_place_that_is_told_stands_and_what_has_but_one_place_is_left_alone() -> None:
+    found = by_law(torn(0.2, 0.75, 0.05))
+    assert found.sets[0][0] == frozenset({("coulomb_friction", "base"), GAIN})
+    assert found.causes[GAIN] == pytest.approx(1.0) and found.stability[GAIN] == 1.0
+    alone = normalised({frozenset({DEAD_ZONE}): 0.0, frozenset(): -1.0}, {DEAD_ZONE: 0.7})
+    assert by_law(alone) == alone

@@ -84,7 +84,7 @@ def test_the_script_measures_the_rig_that_it_hides(script, tmp_path):
     for text in (script.RIG, script.HIDDEN):
         data = dataset(Rig.from_toml(text), runs)
         space = parameters(data, Hypothesis(), {})
-        made = simulate_runs(data, space, np.zeros(space.size), data.start, data.offset)
+        made = simulate_runs(data, space, np.zeros(space.size), data.own)
         errors[text] = [np.abs(run.encoder - one.encoder).max() for run, one in zip(runs, made, strict=True)]
     assert max(errors[script.HIDDEN]) < 2.0 and max(errors[script.RIG]) > 20.0
     said = script.told({"verdict": "unexplained", "causes": [], "gain": {"encoder": {

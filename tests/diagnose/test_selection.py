@@ -20,7 +20,8 @@ FRICTION, STRIBECK, CLOCK = ((effect_class(name), at) for name, at in (
 def found(evidence: float, *effects: tuple, constants: tuple[str, ...] = ()) -> SimpleNamespace:
     hypothesis = Hypothesis(effects, constants)
     made = SimpleNamespace(space=SimpleNamespace(hypothesis=hypothesis, zeros=0), key=hypothesis.key,
-                           log_evidence=lambda weighing, drawn=None: evidence)
+                           log_evidence=lambda weighing, drawn=None: evidence,
+                           most_likely_differ=lambda weighing: (0.0, 0.0))
     made.light = made
     return made
 

@@ -136,10 +136,9 @@ def differences(one: Diagnosis, other: Diagnosis) -> list[str]:
     return found
 
 
-HELD = [(data, change) for data in ("made", "servo") for change in CHANGES if change != "half rate"]
-HELD += [("arm", change) for change in ("cut", "split")]
-"""What holds; of the arm, whose diagnoses take longest, what the others do not show.  What does not hold stands in
-docs/diagnosis.md: a log of every other tick has lost half of its commands."""
+HELD = [(data, change) for data in ("made", "servo") for change in CHANGES if (data, change) != ("servo", "half rate")]
+"""What holds to the last criterion.  What does not stands in docs/diagnosis.md: a log of every other tick has lost half
+of its commands, and one that begins in motion its first second."""
 
 
 @pytest.mark.parametrize(("data", "change"), HELD)
@@ -153,17 +152,15 @@ def test_one_thread_says_what_two_say(data: str) -> None:
     assert alone == plain(data)
 
 
-def test_of_every_other_tick_the_same_cause_is_named_though_the_commands_between_are_guessed() -> None:
-    whole, half = plain("made"), said(*half_rate(*given("made")))
-    assert (whole.verdict, half.verdict) == ("explained", "partly_explained")
-    assert keyed(whole).keys() == keyed(half).keys()
-
-
-def test_of_every_other_tick_the_arms_causes_and_values_are_the_same() -> None:
-    whole, half = plain("arm"), said(*half_rate(*given("arm")))
-    assert (whole.verdict, set(keyed(whole))) == (half.verdict, set(keyed(half)))
-    for key, cause in keyed(whole).items():
-        assert all(within(value, keyed(half)[key].parameters[name]) for name, value in cause.parameters.items())
+@pytest.mark.parametrize("change", ["cut", "split", "half rate"])
+def test_the_arms_laws_are_the_same(change: str) -> None:
+    """With a drive that hardly yields friction at the motor is friction at the base: which of the two may change."""
+    whole, other = plain("arm"), said(*CHANGES[change](*given("arm")))
+    laws = [{cause.effect: cause for cause in found.causes} for found in (whole, other)]
+    assert whole.verdict == other.verdict and laws[0].keys() == laws[1].keys()
+    for name, cause in laws[0].items():
+        for key, value in cause.parameters.items():
+            assert value.low < laws[1][name].parameters[key].high and laws[1][name].parameters[key].low < value.high
 
 
 def test_the_made_case_is_one_in_which_something_is_said() -> None:

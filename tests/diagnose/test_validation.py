@@ -40,14 +40,14 @@ def test_a_block_counts_for_the_independent_errors_that_it_holds() -> None:
 def test_every_run_is_left_out_once_from_where_the_fit_of_all_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
 
-    def fit(predictor, space, weighing, x, start, offset, *, runs, **how):
+    def fit(predictor, space, weighing, x, own, *, runs, **how):
         asked.append((list(runs), x, how["jacobian"]))
         if not runs[2]:
             raise ArithmeticError("lost")
         return SimpleNamespace(light=f"without {int(np.argmin(runs))}")
 
     monkeypatch.setattr(module, "fit", fit)
-    found = SimpleNamespace(space=None, x="here", start=None, offset=None, jacobian="known", light="of all")
+    found = SimpleNamespace(space=None, x="here", own=None, jacobian="known", light="of all")
     with ThreadPoolExecutor(1) as pool:
         predictor = SimpleNamespace(data=SimpleNamespace(runs=[None] * 3), pool=pool)
         assert leave_each_out(predictor, None, found) == ["without 0", "without 1", "of all"]

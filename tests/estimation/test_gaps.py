@@ -51,9 +51,9 @@ def test_what_stands_in_a_gap_never_reaches_a_prediction():
             data.measured[0][:, LOST] += spoil
             predictor = Predictor(data, observers(data.rig, data.noise[0]), pool)
             space = parameters(data, Hypothesis(), {})
-            found.append(predictor.runs(space, np.zeros(space.size), data.start, data.offset)[0])
+            found.append(predictor.runs(space, np.zeros(space.size), data.own)[0])
         data.logged[0][:] = True
-        heard = predictor.runs(space, np.zeros(space.size), data.start, data.offset)[0]
+        heard = predictor.runs(space, np.zeros(space.size), data.own)[0]
     np.testing.assert_array_equal(found[0], found[1])
     assert np.abs(heard - found[0]).max() > 1.0
 

@@ -94,7 +94,7 @@ def test_eliminating_each_runs_nuisances_is_solving_for_all_at_once(fitted: Fit,
 
 def test_derivatives_are_differences_of_predictions(predictor: Predictor, fitted: Fit, weighing: Weighing) -> None:
     descent = _Descent(predictor, fitted.space, weighing, np.ones(3), False)
-    here = descent.at(fitted.x, fitted.start, fitted.offset)
+    here = descent.at(fitted.x, fitted.own)
     jac = descent.jacobian(here)
     for k in range(len(fitted.space.paths)):
         step = 5e-4
@@ -102,7 +102,7 @@ def test_derivatives_are_differences_of_predictions(predictor: Predictor, fitted
         for way in (step, -step):
             x = fitted.x.copy()
             x[k] += way
-            ends.append(predictor.runs(fitted.space, x, fitted.start, fitted.offset))
+            ends.append(predictor.runs(fitted.space, x, fitted.own))
         for r, (up, down) in enumerate(zip(*ends, strict=True)):
             central = (up - down) * descent.scale[r] / (2.0 * step)
             assert np.linalg.norm(jac[r][k] - central) < 0.05 * np.linalg.norm(central)
@@ -110,7 +110,7 @@ def test_derivatives_are_differences_of_predictions(predictor: Predictor, fitted
 
 def test_a_run_of_weight_0_does_not_pull(predictor: Predictor, fitted: Fit, weighing: Weighing) -> None:
     descent = _Descent(predictor, fitted.space, weighing, np.array([1.0, 0.0, 1.0]), False)
-    here = descent.at(fitted.x, fitted.start, fitted.offset)
+    here = descent.at(fitted.x, fitted.own)
     jac = [j.copy() for j in fitted.jacobian]
     before = descent.normal(here, jac)[:2]
     jac[1] *= 3.0
@@ -136,4 +136,4 @@ def test_where_a_model_reaches_the_noise_errors_are_nearly_all_independent(predi
 def test_a_start_that_does_not_simulate_is_refused(predictor: Predictor, fitted: Fit, weighing: Weighing) -> None:
     """An angle that is not a number stands for a model that has run away."""
     with pytest.raises(ArithmeticError, match="does not simulate"):
-        fit(predictor, fitted.space, weighing, fitted.x, start=np.full(3, np.nan))
+        fit(predictor, fitted.space, weighing, fitted.x, own=np.full((3, 4), np.nan))

@@ -61,7 +61,7 @@ def test_of_a_run_that_begins_in_motion_the_state_is_found_before_anything_count
     data = dataset(rig, [moving])
     model = build(data.rig, *SEARCH[:2])
     observer = observers(data.rig, data.noise[0], (math.inf,))[0]
-    found, torque = predict_run(data, model, observer, 0, data.start[0], data.offset[0])
+    found, torque = predict_run(data, model, observer, 0, data.own[0])
     rest = predict(model, observer, data.measured[0], np.ascontiguousarray(moving.command, dtype=float),
                    start_angle=data.start[0], offset=data.offset[0])[0]
     rows = slice(data.warm[0], None)

@@ -39,8 +39,8 @@ def test_errors_are_the_logarithm_of_measured_over_simulated(alone: bool) -> Non
         in_time = Predictor(data, observers(data.rig, 0.0), pool)
         predictor = with_responses(in_time, alone)
         space = parameters(data, Hypothesis(), {})
-        predicted = predictor.runs(space, space.mean, data.start, data.offset)[0]
-        plain = in_time.runs(space, space.mean, data.start, data.offset)[0]
+        predicted = predictor.runs(space, space.mean, data.own)[0]
+        plain = in_time.runs(space, space.mean, data.own)[0]
     assert len(predicted) == 4 + (0 if alone else len(plain))
     if not alone:
         np.testing.assert_array_equal(predicted[:-4], plain)

@@ -66,6 +66,22 @@ def test_clamped_free_frequencies_tend_to_the_closed_form():
     assert np.all(found > CLAMPED_FREE**2 * (1 - 1e-9)), "Rayleigh-Ritz bounds from above"
 
 
+@pytest.mark.parametrize("harmonic", [1, 2, 3])
+def test_a_rigidity_that_varies_moves_frequencies_as_rayleighs_quotient_says(harmonic):
+    """First order: 2 dw/w = int d(EI) phi''^2 / int EI phi''^2, phi the clamped-free beam's own shapes."""
+    size, x = 1e-4, np.linspace(0.0, 1.0, 4001)
+    factors = [1.0 + size if k == harmonic else 1.0 for k in (1, 2, 3)]
+    found = []
+    for profile in ((), factors):
+        mass, stiffness = (m[2:, 2:] for m in beam_matrices(1.0, 1.0, 1.0, 60, profile))
+        found.append(np.sqrt(scipy.linalg.eigh(stiffness, mass, eigvals_only=True)[:3]))
+    for mode, beta in enumerate(CLAMPED_FREE):
+        share = (np.cosh(beta) + np.cos(beta)) / (np.sinh(beta) + np.sin(beta))
+        curvature = np.cosh(beta * x) + np.cos(beta * x) - share * (np.sinh(beta * x) + np.sin(beta * x))
+        expected = np.sum(np.cos(harmonic * np.pi * x) * curvature**2) / np.sum(curvature**2)
+        assert 2.0 * (found[1][mode] / found[0][mode] - 1.0) / size == pytest.approx(expected, abs=5e-3)
+
+
 @pytest.mark.parametrize("mode", [0, 1, 2])
 def test_mode_shapes_meet_the_analytic_eigenfunctions(mode):
     elements, beta = 20, PINNED_FREE[mode]

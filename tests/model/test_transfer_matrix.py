@@ -37,6 +37,16 @@ def test_finite_elements_meet_it_in_natural_frequency_and_magnitude(name):
     assert decibel_error(rig, np.geomspace(0.05, 100.0, 2000)).max() < 0.1     # zeros included
 
 
+def test_a_rigidity_that_varies_along_the_beam_is_the_same_in_both():
+    rig = with_elements(load_rig("sflr"), 40)
+    beam = rig.beam.model_copy(update={"rigidity_1": 1.2, "rigidity_2": 0.9, "rigidity_3": 1.1})
+    uneven = rig.model_copy(update={"beam": beam})
+    found, exact = natural_frequencies(uneven)[1:5], continuous_frequencies(uneven, 100.0)
+    np.testing.assert_allclose(found, exact, rtol=1e-3)
+    assert np.abs(exact / continuous_frequencies(rig, 100.0) - 1.0).max() > 0.02
+    assert decibel_error(uneven, np.geomspace(0.05, 40.0, 500)).max() < 0.1
+
+
 def test_error_against_it_falls_with_the_fourth_power_of_element_length():
     rig = load_rig("sflr")
     exact = continuous_frequencies(rig, 100.0)[3]

@@ -1,0 +1,84 @@
+"""What runs have of their own in what the motor does: told from what all of them share, and sized."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from station.estimation.dataset import dataset
+from station.estimation.least_squares import Fit, fit, weighing_of
+from station.estimation.likelihood import Weighing, block_counts
+from station.estimation.observer import observers
+from station.estimation.parameters import Hypothesis, parameters
+from station.estimation.prediction import Predictor
+from station.estimation.spread import differences
+from station.model.effects import effect_class
+from tests.estimation.made import AXIS, run_of
+
+BIAS = effect_class("command_bias")
+KEY = ("command_bias", "amplifier")
+TESTS = [(90.0, "p2"), (-60.0, "p1"), (60.0, "open"), (-80.0, "p2"), (70.0, "p1"), (-50.0, "open")]
+OFFSETS = np.array([-3.0, 4.0, -1.5, 2.5, 3.5, -4.5])
+"""Counts of command; their mean is next to none."""
+SHARES = np.array([0.05, -0.04, 0.03, -0.05, 0.04, -0.02])
+VARIES = 5.41
+
+
+def fitted(offsets: Sequence[float], shares: Sequence[float], effects: tuple = ()) -> Fit:
+    """The axis fitted to six runs, each with a bias and a motor gain of its own; how much they differ is estimated."""
+    runs = []
+    for k, ((amplitude, controller), offset, share) in enumerate(zip(TESTS, offsets, shares, strict=True)):
+        true = AXIS.with_constants({"motor.gain": AXIS.motor.gain * (1.0 + share)})
+        runs.append(run_of(true.with_effects([BIAS(at="amplifier", offset=offset)]), amplitude, controller, f"run {k}"))
+    with ThreadPoolExecutor(1) as pool:
+        predictor = Predictor(dataset(AXIS, runs), observers(AXIS, 0.0), pool)
+        weighing = Weighing(block_counts(predictor.data, predictor.channel), 1.0)
+        space = parameters(predictor.data, Hypothesis(effects), {KEY: {"offset": 1.0}})
+        found = fit(predictor, space, weighing, space.mean.copy())
+        for _ in range(3):
+            found = fit(predictor, space, weighing_of(predictor, found), found.x, found.own)
+        return found
+
+
+@pytest.fixture(scope="module")
+def varied() -> Fit:
+    return fitted(OFFSETS, SHARES)
+
+
+def test_sizes_and_each_runs_own_are_found(varied: Fit) -> None:
+    share, constant = differences(varied, varied.weighing, VARIES)
+    assert constant == pytest.approx(np.sqrt(np.mean(OFFSETS**2)), rel=0.3)
+    assert share == pytest.approx(np.sqrt(np.mean(SHARES**2)), rel=0.4)
+    np.testing.assert_allclose(varied.own[:, 3], OFFSETS, atol=0.5)
+    assert np.corrcoef(varied.own[:, 2], SHARES)[0, 1] > 0.95
+
+
+def test_runs_that_are_alike_do_not_differ() -> None:
+    found = fitted(np.zeros(6), np.zeros(6))
+    assert differences(found, found.weighing, VARIES) == (None, None)
+    assert np.abs(found.own[:, 2]).max() < 0.003 and np.abs(found.own[:, 3]).max() < 0.1
+
+
+def test_a_bias_of_all_runs_is_a_cause_and_one_of_either_sign_is_none() -> None:
+    """Each set by how much its runs most likely differ: what all share earns a parameter, what none share does not."""
+    def gained(offsets: np.ndarray) -> float:
+        with_bias = fitted(offsets, np.zeros(6), ((BIAS, "amplifier"),))
+        without = fitted(offsets, np.zeros(6))
+        one, other = (f.log_evidence(replace(with_bias.weighing, differ=f.most_likely_differ(with_bias.weighing)))
+                      for f in (with_bias, without))
+        return one - other
+    assert gained(np.full(6, 3.0)) > 10.0
+    assert gained(OFFSETS) < 2.0
+
+
+def test_without_a_step_left_to_take_the_evidence_is_that_of_the_fit(varied: Fit) -> None:
+    """The quadratic about a fit at its optimum promises nothing more; a prior far from it costs what it says."""
+    tight = replace(varied.weighing, differ=(1e-6, varied.weighing.differ[1]))
+    assert varied.log_evidence(varied.weighing) > varied.log_evidence(tight) + 0.5 * VARIES
+    wide = replace(varied.weighing, differ=(30.0 * varied.weighing.differ[0], varied.weighing.differ[1]))
+    assert varied.log_evidence(varied.weighing) - varied.log_evidence(wide) == pytest.approx(
+        6.0 * np.log(30.0) - 3.0, rel=0.3)
