@@ -44,6 +44,7 @@ def fit(rig: Rig, runs: Sequence[Run], hold: Sequence[str] | None = None, *, dom
         raise UsageError(f"domain {domain!r} is none of time, frequency, both")
     if not runs:
         raise UsageError("a fit wants at least one run")
+    # A beam as uniform as the rig file says: what a diagnosis allows for beyond it is no constant of the file.
     data = replace(dataset(rig, [runs[i] for i in canonical_order(runs)]), rig=rig.meshed())
     constants = list(data.rig.constants())
     held = tuple(hold) if hold is not None else tuple([path for path in HELD if path in constants][:1])

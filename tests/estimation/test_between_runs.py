@@ -22,9 +22,9 @@ from tests.estimation.made import AXIS, run_of
 BIAS = effect_class("command_bias")
 KEY = ("command_bias", "amplifier")
 TESTS = [(90.0, "p2"), (-60.0, "p1"), (60.0, "open"), (-80.0, "p2"), (70.0, "p1"), (-50.0, "open")]
-OFFSETS = np.array([-3.0, 4.0, -1.5, 2.5, 3.5, -4.5])
+OFFSETS = np.array([-1.2, 1.6, -0.6, 1.0, 1.4, -1.8])
 """Counts of command; their mean is next to none."""
-SHARES = np.array([0.05, -0.04, 0.03, -0.05, 0.04, -0.02])
+SHARES = np.array([0.025, -0.02, 0.015, -0.025, 0.02, -0.01])
 VARIES = 5.41
 
 
