@@ -20,7 +20,6 @@ BEGINNINGS = (0.1, 0.3, 1.0)
 """Seconds after the first command: one after the other, a period of the slowest mode of a beam apart."""
 SETTLED_SHARE = 0.2
 """Change of the logarithm of a number of independent errors below which it has settled: the estimate's own error."""
-
 SAME = 4.0
 """Two descents ended in one minimum where their -2 ln of the posterior differ by less."""
 

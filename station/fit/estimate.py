@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -43,15 +44,15 @@ def fit(rig: Rig, runs: Sequence[Run], hold: Sequence[str] | None = None, *, dom
         raise UsageError(f"domain {domain!r} is none of time, frequency, both")
     if not runs:
         raise UsageError("a fit wants at least one run")
-    data = dataset(rig, [runs[i] for i in canonical_order(runs)])
-    constants = list(rig.constants())
+    # A beam as uniform as the rig file says: what a diagnosis allows for beyond it is no constant of the file.
+    data = replace(dataset(rig, [runs[i] for i in canonical_order(runs)]), rig=rig.meshed())
+    constants = list(data.rig.constants())
     held = tuple(hold) if hold is not None else tuple([path for path in HELD if path in constants][:1])
     for path in held:
         if path not in constants:
             raise UsageError(f"hold {path}: this rig has {', '.join(constants)}")
-    variances = rig.log_covariance(constants).diagonal()
-    moved = {path for path, variance in zip(constants, variances, strict=True) if path not in held and variance > 0.0}
-    fixed = data.rig.constants().keys() - moved
+    variances = data.rig.log_covariance(constants).diagonal()
+    fixed = {path for path, variance in zip(constants, variances, strict=True) if path in held or variance == 0.0}
     space = parameters(data, Hypothesis(), {}, fixed)
     if not space.size:
         raise UsageError(f"{rig.name}: every constant is held or exact")

@@ -102,6 +102,8 @@ def test_default_hold_reports_the_length_that_no_data_show():
     rig = load_rig("sflr")
     result = fit(rig, runs_on(rig)[:2], starts=1)
     assert result.held == ("beam.mass_per_length",)
+    assert {c.path for c in result.constants} | set(result.held) == set(rig.constants())
+    assert result.rig.uncertainty == rig.uncertainty
     always = [direction for direction in result.flat if direction.always]
     assert len(always) == 1
     powers = always[0].powers
