@@ -41,7 +41,8 @@ class Candidate:
 def candidates(rig: Rig) -> list[Candidate]:
     """All causes for this rig; what its file already holds is part of it and no cause.
 
-    Without a drive motor and base are one part: an effect that may stand at either is one cause, at the motor.
+    Without a drive motor and base are one part: an effect that may stand at either is one cause, at the motor.  A
+    constant that the file calls exact (uncertainty 0) is none.
     """
     held = {(e.name, e.at) for e in rig.effects}
     found = []
@@ -51,4 +52,6 @@ def candidates(rig: Rig) -> list[Candidate]:
                 continue
             if cls.fits(rig, at) and (cls.name, at) not in held:
                 found.append(Candidate(cls, at, None, tuple(cls.guesses(rig, at))))
-    return found + [Candidate(None, "", path) for path in rig.constants() if path not in PROFILE]
+    paths = list(rig.constants())
+    exact = {path for path, variance in zip(paths, rig.log_covariance(paths).diagonal(), strict=True) if not variance}
+    return found + [Candidate(None, "", path) for path in paths if path not in PROFILE | exact]

@@ -97,6 +97,8 @@ class Held:
     """Of its logarithm."""
 
 
+EXACT = 1e-6
+"""Sigma of the logarithm of a constant that a rig file calls exact."""
 Sizes = dict[Key, dict[str, float]]
 """By cause, the parameters' values."""
 
@@ -213,6 +215,7 @@ def parameters(data: Dataset, hypothesis: Hypothesis, centres: Sizes, fixed: Col
     rig = data.rig
     paths = tuple(path for path in rig.constants() if path not in fixed)
     covariance = rig.log_covariance(list(paths))
+    covariance[np.diag_indices_from(covariance)] = np.maximum(covariance.diagonal(), EXACT**2)
     for path in hypothesis.constants:
         i = paths.index(path)
         covariance[i, i] += WIDE**2
