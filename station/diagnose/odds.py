@@ -17,7 +17,8 @@ import numpy as np
 
 from station.diagnose.result import Estimate
 from station.diagnose.selection import Selection
-from station.diagnose.thresholds import BEYOND, CLOSE, FEW, VARIES
+from station.diagnose.thresholds import BEYOND, CLOSE, VARIES
+from station.estimation.dataset import SEVERAL
 from station.estimation.identifiability import parameter_states
 from station.estimation.least_squares import Fit
 from station.estimation.parameters import Causes, Key
@@ -193,7 +194,7 @@ def estimates(found: Fit, rougher: Fit | None = None) -> tuple[dict[Key, dict[st
 
 def _between(found: Fit, direction: np.ndarray) -> Spread:
     """How the runs differ along a direction (p) of x; of fewer than three nothing is said."""
-    if len(found.squares) < FEW:
+    if len(found.squares) < SEVERAL:
         return Spread(0.0, 0.0, found.covariance)
     return between_runs(found, direction)
 

@@ -15,7 +15,6 @@ import numpy as np
 
 from station.diagnose.candidates import Candidate
 from station.estimation.least_squares import Fit
-from station.estimation.likelihood import block_scale
 from station.estimation.parameters import Parameters, Sizes, parameters
 from station.estimation.prediction import Predictor
 from station.model.effects import Stage
@@ -76,7 +75,7 @@ class _Eliminated:
         self.roots = [np.sqrt(row)[:, None] for row in w]
         self.derivatives = [(j * root).reshape(len(j), -1) for j, root in zip(parent.jacobian, self.roots, strict=True)]
         self.errors = [(e * root).ravel() for e, root in zip(parent.residuals, self.roots, strict=True)]
-        self.scale = [block_scale(predictor.data, r, predictor.channel) for r in range(len(w))]
+        self.scale = [predictor.scale(r) for r in range(len(w))]
         normal, slope = parent.normal(parent.weighing)
         self.matrix = normal + np.diag(parent.space.precision)
         self.force = slope - parent.space.precision * (parent.x - parent.space.mean)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -57,18 +58,18 @@ class Selection:
     fits: dict[Causes, Fit] = field(default_factory=dict)
     screened: list[Screened] = field(default_factory=list)
     """Of the first rung."""
-    _weighed: dict[int, tuple[Fit, Weighing, Weighing, float]] = field(default_factory=dict)
+    _weighed: WeakKeyDictionary[Fit, tuple[Weighing, Weighing, float]] = field(default_factory=WeakKeyDictionary)
 
     def evidence(self, found: Fit, drawn: np.ndarray | None = None) -> float:
         """Log evidence of a set of causes, up to a constant; ``drawn``: of resampled stretches.
 
         How much runs differ is each set's own: what is most likely of all data.
         """
-        known = self._weighed.get(id(found))
-        if known is None or known[0] is not found or known[1] is not self.weighing:
+        known = self._weighed.get(found)
+        if known is None or known[0] is not self.weighing:
             own = replace(self.weighing, differ=found.most_likely_differ(self.weighing))
-            known = self._weighed[id(found)] = (found, self.weighing, own, found.log_evidence(own))
-        return known[3] if drawn is None else found.log_evidence(known[2], drawn)
+            known = self._weighed[found] = (self.weighing, own, found.log_evidence(own))
+        return known[2] if drawn is None else found.log_evidence(known[1], drawn)
 
     def score(self, found: Fit, drawn: np.ndarray | None = None) -> float:
         """Log posterior of a set of causes, up to a constant; ``drawn``: of resampled stretches."""

@@ -36,7 +36,7 @@ def whole_run(data: Dataset, model: Model, run: int, own: np.ndarray, *, roundin
     this, moving, (start, offset, share, constant) = data.runs[run], data.warm[run] > 0, (float(v) for v in own)
     if not moving and (this.metadata.controller.get("kind") != "unknown" or this.open_loop):
         return simulate_model(model, this, rounding=rounding, start_angle=angle_that_reads(model.rig, start, zero),
-                              accel_offset=offset, zero=zero, gap_place=place, own=(share, constant))
+                              accel_offset=offset, zero=zero, gap_place=place, more=(share, constant))
     observer, = observers(data.rig, data.noise[0], (math.inf if this.open_loop else UNKNOWN_AHEAD,))
     found = predict_run(data, model, observer, run, own, zero=zero, place=place)[0]
     if rounding:
@@ -48,8 +48,10 @@ def settled_run(data: Dataset, model: Model, run: int, own: np.ndarray, differ: 
                 zero: float = 0.0, place: float = 0.0) -> Simulation:
     """The same with what suits the run best of what it has of its own (two Gauss-Newton steps), as the device would
     have read it; ``differ`` as ``Weighing`` has it."""
-    prior, scale = nuisance_precision(data, differ), np.sqrt(data.share[run]) / data.sigma[:, None]
-    free, steps, first, own = data.free, own_steps(data), data.own[run], own.copy()
+    moves = np.isin(data.free, np.flatnonzero([True, True, *(size > 0.0 for size in differ)]))
+    free, prior = data.free[moves], nuisance_precision(data, differ)[moves]
+    scale = np.sqrt(data.share[run]) / data.sigma[:, None]
+    steps, first, own = own_steps(data), data.own[run], own.copy()
 
     def outputs(own: np.ndarray) -> np.ndarray:
         made = whole_run(data, model, run, own, rounding=False, zero=zero, place=place)

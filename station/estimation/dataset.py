@@ -29,6 +29,8 @@ FIRST = 0.02
 RIGIDITY = 0.015
 """Sigma of each harmonic of a beam's rigidity along its length, where the rig file says nothing: the cube of a
 thickness that varies within a piece by half a percent (between pieces cold rolled strip may by several: EN 10140)."""
+SEVERAL = 3
+"""Runs from which on they can tell how much they differ."""
 UNROUNDED = 0.3
 """Noise of an encoder, counts, from which on its rounding errors are independent from sample to sample (Widrow)."""
 
@@ -86,7 +88,7 @@ class Dataset:
     @cached_property
     def free(self) -> np.ndarray:
         """(c) the columns of ``own`` that a fit moves."""
-        return np.array([0, 1, 2, 3] if self.has_accel else [0, 2, 3])
+        return np.flatnonzero([True, self.has_accel, *[len(self.runs) >= SEVERAL] * 2])
 
     @cached_property
     def rms_command(self) -> float:

@@ -13,8 +13,8 @@ from functools import cached_property
 
 import numpy as np
 
-from station.estimation.dataset import Dataset
-from station.estimation.likelihood import LEAST_DIFFERENCE, Weighing, cost, nuisance_precision, temperature
+from station.estimation.dataset import SEVERAL, Dataset
+from station.estimation.likelihood import Weighing, cost, differ_precision, nuisance_precision, temperature
 from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor
 
@@ -29,8 +29,6 @@ OFFSET_STEP = 0.1
 LARGEST = np.array([0.03, 0.01])
 """Most by which runs differ: a share of the command (a motor's torque constant falls by 0.2 % a degree of its ferrite
 magnets: fifteen degrees), and of the amplifier's limit (an offset of its input)."""
-SEVERAL = 3
-"""Runs from which on they can tell how much they differ."""
 ROUNDS = 12
 """In which these sizes settle."""
 LONGEST = 2.0
@@ -137,9 +135,9 @@ class Fit:
 
     def own_precision(self, differ: tuple[float, float]) -> np.ndarray:
         """(c) prior precisions of what runs have of their own where they differ by so much."""
-        found = self.nuisance.copy()
-        found[-2:] = np.maximum(differ, LEAST_DIFFERENCE) ** -2.0
-        return found
+        if len(self.squares) < SEVERAL:
+            return self.nuisance
+        return np.append(self.nuisance[:-2], differ_precision(differ))
 
     def _by_run(self, weighing: Weighing, drawn: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """J'WJ (runs, p + c, p + c) and J'We (runs, p + c)."""
@@ -162,6 +160,16 @@ class Fit:
         return (matrices[:, :p, :p] - across @ matrices[:, p:, :p],
                 slopes[:, :p] - (across @ force[:, :, None])[:, :, 0], inverse, force)
 
+    def _stepped(self, matrices: np.ndarray, slopes: np.ndarray, own: np.ndarray,
+                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """One Gauss-Newton step from the fit: the posterior's precision (p, p), the parameters' step (p), that of what
+        runs have of their own (runs, c), and inverse precisions of that (runs, c, c)."""
+        p, prior = self.space.size, self.space.precision
+        normals, gradients, inverse, force = self._eliminated(matrices, slopes, own)
+        matrix = normals.sum(axis=0) + np.diag(prior)
+        step = np.linalg.solve(matrix, gradients.sum(axis=0) - prior * (self.x - self.space.mean))
+        return matrix, step, (inverse @ (force - matrices[:, p:, :p] @ step)[:, :, None])[:, :, 0], inverse
+
     def most_likely_differ(self, weighing: Weighing) -> tuple[float, float]:
         """How much runs differ in what the motor does more than the rig says (``Weighing.differ``).
 
@@ -170,19 +178,16 @@ class Fit:
         """
         if len(self.squares) < SEVERAL:
             return 0.0, 0.0
-        p, prior = self.space.size, self.space.precision
-        matrices, slopes = self._by_run(weighing)
+        p, (matrices, slopes) = self.space.size, self._by_run(weighing)
         largest = LARGEST * np.array([1.0, self.space.rig.amplifier.limit])
         sizes = largest
         for _ in range(ROUNDS):
             own = self.own_precision((sizes[0], sizes[1]))
-            normals, gradients, inverse, pull = self._eliminated(matrices, slopes, own)
-            covariance = np.linalg.inv(normals.sum(axis=0) + np.diag(prior))
-            step = covariance @ (gradients.sum(axis=0) - prior * (self.x - self.space.mean))
+            matrix, _, moved, inverse = self._stepped(matrices, slopes, own)
             coupled = inverse @ matrices[:, p:, :p]
-            away = self.away + (inverse @ pull[:, :, None])[:, :, 0] - coupled @ step
-            variance = np.diagonal(inverse + coupled @ covariance @ coupled.transpose(0, 2, 1), axis1=1, axis2=2)
-            sizes = np.minimum(np.sqrt(np.mean((away**2 + variance)[:, -2:], axis=0)), largest)
+            variance = np.diagonal(inverse + coupled @ np.linalg.solve(matrix, coupled.transpose(0, 2, 1)),
+                                   axis1=1, axis2=2)
+            sizes = np.minimum(np.sqrt(np.mean(((self.away + moved) ** 2 + variance)[:, -2:], axis=0)), largest)
         return float(sizes[0]), float(sizes[1])
 
     @cached_property
@@ -200,15 +205,11 @@ class Fit:
 
         Under another weighing, or of a resample, one Gauss-Newton step is taken from the fit.
         """
-        p, prior, own = self.space.size, self.space.precision, self.own_precision(weighing.differ)
-        delta = self.x - self.space.mean
+        prior, delta, own = self.space.precision, self.x - self.space.mean, self.own_precision(weighing.differ)
         squares, counts, independent = self.drawn(weighing, drawn)
         matrices, slopes = self._by_run(weighing, drawn)
-        normals, gradients, inverse, pull = self._eliminated(matrices, slopes, own)
-        matrix = normals.sum(axis=0) + np.diag(prior)
-        step = np.linalg.solve(matrix, gradients.sum(axis=0) - prior * delta)
-        moved = (inverse @ (pull - matrices[:, p:, :p] @ step)[:, :, None])[:, :, 0]
-        whole = np.concatenate([np.broadcast_to(step, (len(moved), p)), moved], axis=1)
+        matrix, step, moved, inverse = self._stepped(matrices, slopes, own)
+        whole = np.concatenate([np.broadcast_to(step, (len(moved), len(step))), moved], axis=1)
         gained = float(np.sum(whole * (2.0 * slopes - (matrices @ whole[:, :, None])[:, :, 0])))
         value = (cost(squares, counts, independent) / weighing.temperature - min(gained, MOST_GAINED)
                  + float(prior @ (delta + step) ** 2) + float(np.sum(own * (self.away + moved) ** 2)))

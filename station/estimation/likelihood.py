@@ -49,19 +49,6 @@ class Weighing:
     a constant (counts of command)."""
 
 
-def block_scale(data: Dataset, run: int, channel: np.ndarray) -> np.ndarray:
-    """(b, n) square root of the independent errors per sample over the noise's variance, 1/counts.
-
-    ``channel`` (b): the channel of every block.
-    """
-    return (np.sqrt(data.share[run]) / data.sigma[:, None])[channel]
-
-
-def block_counts(data: Dataset, channel: np.ndarray) -> np.ndarray:
-    """(runs, b) n."""
-    return np.maximum(data.counts[:, channel], 1e-9)
-
-
 def rho(ratio: np.ndarray) -> np.ndarray:
     """The cost of a mean square in units of the noise's."""
     return np.where(ratio <= 1.0, ratio, 1.0 + np.log(np.maximum(ratio, 1.0)))
@@ -90,9 +77,8 @@ def independent_errors(errors: np.ndarray, counts: float) -> float:
     return counts * min(1.0 / max(1.0 / white - 1.0 / width, 1.0), 1.0)
 
 
-def blocks_independent(data: Dataset, channel: np.ndarray, residuals: list[np.ndarray]) -> np.ndarray:
-    """(runs, b) N of every block, from errors scaled by ``block_scale``."""
-    counts = block_counts(data, channel)
+def blocks_independent(counts: np.ndarray, residuals: list[np.ndarray]) -> np.ndarray:
+    """(runs, b) N of every block, from n (runs, b) and scaled errors (b, n) of every run."""
     found = np.array([[independent_errors(row, counts[r, b]) for b, row in enumerate(e)]
                       for r, e in enumerate(residuals)])
     return np.minimum(np.maximum(found, 1.0), counts)
@@ -110,5 +96,9 @@ def temperature(curvature: np.ndarray, scatter: np.ndarray, prior: np.ndarray) -
 def nuisance_precision(data: Dataset, differ: tuple[float, float]) -> np.ndarray:
     """(c) prior precisions of what each run has of its own (``Dataset.own``, its free columns)."""
     angle, offset = NUISANCES
-    sigmas = np.array([angle * data.rig.angle_per_count, offset, *(max(size, LEAST_DIFFERENCE) for size in differ)])
-    return sigmas[data.free] ** -2.0
+    return np.append(np.array([angle * data.rig.angle_per_count, offset]) ** -2.0, differ_precision(differ))[data.free]
+
+
+def differ_precision(differ: tuple[float, float]) -> np.ndarray:
+    """(2) prior precisions of what the motor does more in a run, a share and a constant."""
+    return np.maximum(differ, LEAST_DIFFERENCE) ** -2.0

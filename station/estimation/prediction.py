@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from station.estimation.dataset import Dataset
-from station.estimation.likelihood import block_scale, blocks_independent
+from station.estimation.likelihood import blocks_independent
 from station.estimation.observer import Observer, observers
 from station.estimation.parameters import Parameters
 from station.model.compiled import kernel
@@ -135,12 +135,15 @@ class Predictor:
         return self.data.share[run][self.channel]
 
     def scale(self, run: int) -> np.ndarray:
-        """(b, n) what makes one run's errors count alike (``block_scale``)."""
-        return block_scale(self.data, run, self.channel)
+        """(b, n) what makes one run's errors count alike, 1/counts.
+
+        The square root of the independent errors per sample over the noise's variance.
+        """
+        return (np.sqrt(self.data.share[run]) / self.data.sigma[:, None])[self.channel]
 
     def independent(self, residuals: list[np.ndarray]) -> np.ndarray:
         """(runs, b) N of every block, from scaled errors (b, n) of every run."""
-        return blocks_independent(self.data, self.channel, residuals)
+        return blocks_independent(self.counts, residuals)
 
     def model(self, space: Parameters, x: np.ndarray) -> Model:
         """The rig that a parameter vector describes, made ready for the many simulations of a fit."""

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from station.errors import WorkError
+from station.estimation.likelihood import blocks_independent
 from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor
 from station.model.frequency import finite_element_response, measured_response
@@ -105,7 +106,8 @@ class ResponsePredictor(Predictor):
     def independent(self, residuals: list[np.ndarray]) -> np.ndarray:
         """(runs, b) N of every block."""
         times = len(self.channel)
-        return np.hstack([super().independent([e[:times] for e in residuals]), ALIKE * self.counts[:, times:]])
+        read = blocks_independent(self.counts[:, :times], [e[:times] for e in residuals])
+        return np.hstack([read, ALIKE * self.counts[:, times:]])
 
     def run(self, model: Model, space: Parameters, x: np.ndarray, run: int, own: np.ndarray) -> np.ndarray:
         """One run's predictions (b, n): readings, counts, and logarithms of responses, phases nearest the measured."""

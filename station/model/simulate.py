@@ -333,10 +333,10 @@ def _controller_arrays(text: str, sample_rate: float, limit: float, accel_zero: 
 
 def simulate_model(model: Model, run: Run, *, rounding: bool | Literal["inside"] = True, start_angle: float = 0.0,
                    zero: float = 0.0, accel_offset: float = 0.0, gap_place: float = 0.0,
-                   states: bool = False, own: tuple[float, float] = (0.0, 0.0)) -> Simulation:
+                   states: bool = False, more: tuple[float, float] = (0.0, 0.0)) -> Simulation:
     """As ``simulate``, with a rig that has been built.
 
-    ``own``: what the motor does more in this run, a share of the command and a constant (counts of command).
+    ``more``: what the motor does more in this run, a share of the command and a constant (counts of command).
 
     ``rounding`` "inside" rounds what the compensator sees and sends, but returns what was rounded.  WorkError: the
     run's controller reads a sensor that the rig has not.
@@ -354,7 +354,7 @@ def simulate_model(model: Model, run: Run, *, rounding: bool | Literal["inside"]
     encoder, accel = np.zeros(rows), np.zeros(rows)
     history = np.zeros((rows if states else 0, state.z.size))
     stepper.run_ticks(model.plan, state, controller, reference, command, closed, meta.command_row, accel_offset,
-                      inside, bool(inside) and meta.rounding, encoder, accel, history, own)
+                      inside, bool(inside) and meta.rounding, encoder, accel, history, more)
     shape = full = None
     if states:
         full = history @ model.form.basis[: model.assembly.size].T

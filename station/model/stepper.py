@@ -467,7 +467,7 @@ def tick(plan, state, command, offset, rounding, work, out):
 
 @kernel()
 def ticks(plan, state, controller, reference, command, closed, command_row, offset, rounding, round_command,
-          encoder, accel, history, own, seen, work, past, past_accel):
+          encoder, accel, history, more, seen, work, past, past_accel):
     """As ``run_ticks``, with room to work in."""
     rows = reference.size
     num, den, feedback = controller.numerator, controller.denominator, controller.feedback
@@ -518,7 +518,7 @@ def ticks(plan, state, controller, reference, command, closed, command_row, offs
                 if round_command:
                     out = math.floor(out + 0.5)
             command[row] = out
-        further = own[0] * command[row] + own[1]
+        further = more[0] * command[row] + more[1]
         if plain:
             advance_plain(plan, state, command[row] + further)
         else:
@@ -529,14 +529,14 @@ def ticks(plan, state, controller, reference, command, closed, command_row, offs
 
 
 def run_ticks(plan, state, controller, reference, command, closed, command_row, offset, rounding, round_command,
-              encoder, accel, history, own=(0.0, 0.0)):
+              encoder, accel, history, more=(0.0, 0.0)):
     """One whole test; writes command (where closed), encoder, accel (n) and, where asked, history (n, 2b).
 
-    ``rounding``: NONE, ALL, or INSIDE: the compensator sees whole counts, the columns stay what was rounded.  ``own``:
+    ``rounding``: NONE, ALL, or INSIDE: the compensator sees whole counts, the columns stay what was rounded.  ``more``:
     what the motor does more in this test, a share of the command and a constant (counts of command).
     """
     rows, order, accel_order = reference.size, controller.numerator.size, max(controller.accel_denominator.size, 1)
     ticks(plan, state, controller, reference, command, closed, command_row, offset, rounding, round_command,
-          encoder, accel, history, own, (np.zeros(rows), np.zeros(rows)), np.zeros((4, max(plan.port_joint.size, 1))),
+          encoder, accel, history, more, (np.zeros(rows), np.zeros(rows)), np.zeros((4, max(plan.port_joint.size, 1))),
           (np.zeros(order), np.zeros(order), np.zeros(controller.feedback.size)),
           (np.zeros(accel_order), np.zeros(accel_order)))

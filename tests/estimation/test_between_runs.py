@@ -11,7 +11,7 @@ import pytest
 
 from station.estimation.dataset import dataset
 from station.estimation.least_squares import Fit, fit, weighing_of
-from station.estimation.likelihood import Weighing, block_counts
+from station.estimation.likelihood import Weighing
 from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
 from station.estimation.prediction import Predictor
@@ -36,7 +36,7 @@ def fitted(offsets: Sequence[float], shares: Sequence[float], effects: tuple = (
         runs.append(run_of(true.with_effects([BIAS(at="amplifier", offset=offset)]), amplitude, controller, f"run {k}"))
     with ThreadPoolExecutor(1) as pool:
         predictor = Predictor(dataset(AXIS, runs), observers(AXIS, 0.0), pool)
-        weighing = Weighing(block_counts(predictor.data, predictor.channel), 1.0)
+        weighing = Weighing(predictor.counts, 1.0)
         space = parameters(predictor.data, Hypothesis(effects), {KEY: {"offset": 1.0}})
         found = fit(predictor, space, weighing, space.mean.copy())
         for _ in range(3):

@@ -10,7 +10,7 @@ import pytest
 
 from station.estimation.dataset import dataset
 from station.estimation.least_squares import Fit, _Descent, fit, inherited, weighing_of
-from station.estimation.likelihood import Weighing, block_counts
+from station.estimation.likelihood import Weighing
 from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
 from station.estimation.prediction import Predictor
@@ -31,7 +31,7 @@ def predictor() -> Iterator[Predictor]:
 
 @pytest.fixture(scope="module")
 def weighing(predictor: Predictor) -> Weighing:
-    return Weighing(block_counts(predictor.data, predictor.channel), 1.0)
+    return Weighing(predictor.counts, 1.0)
 
 
 @pytest.fixture(scope="module")

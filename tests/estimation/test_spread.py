@@ -10,7 +10,7 @@ import pytest
 
 from station.estimation.dataset import dataset
 from station.estimation.least_squares import Fit, fit
-from station.estimation.likelihood import Weighing, block_counts
+from station.estimation.likelihood import Weighing
 from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
 from station.estimation.prediction import Predictor
@@ -31,7 +31,7 @@ def fitted(offsets: Sequence[float], torques: Sequence[float]) -> Fit:
             for k, ((amplitude, controller), offset, torque) in enumerate(zip(TESTS, offsets, torques, strict=True))]
     with ThreadPoolExecutor(1) as pool:
         predictor = Predictor(dataset(AXIS, runs), observers(AXIS, 0.0), pool)
-        weighing = Weighing(block_counts(predictor.data, predictor.channel), 1.0)
+        weighing = Weighing(predictor.counts, 1.0)
         space = parameters(predictor.data, Hypothesis(((BIAS, "amplifier"), (FRICTION, "motor"))),
                            {("command_bias", "amplifier"): {"offset": 3.0},
                             ("coulomb_friction", "motor"): {"torque": USUAL}})
