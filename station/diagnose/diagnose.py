@@ -226,12 +226,12 @@ def _ranking(search: Selection, found: Odds, left_out: dict[Causes, list[Fit]]) 
 
 def _disturbance(predictor: Predictor, rigs: Sequence[Rig]) -> Disturbance:
     """The torque at the motor that the quickest observer needs with each rig: a share of the command's rms torque."""
-    data, observer = predictor.data, predictor.observers[0]
+    data, quickest = predictor.data, predictor.observers[:1]
 
     def share(rig: Rig) -> float:
         model, missing, command = build(rig, *SEARCH[:2]), 0.0, 0.0
         for r, run in enumerate(data.runs):
-            torque = predict_run(data, model, observer, r, data.own[r])[1]
+            torque = predict_run(data, model, quickest, r, data.own[r])[1][0]
             missing, command = missing + float(torque @ torque), command + float(run.command @ run.command)
         return float(np.sqrt(missing / max(command, 1e-300)))
     nominal, refitted, extended = predictor.pool.map(share, rigs)

@@ -37,8 +37,8 @@ def whole_run(data: Dataset, model: Model, run: int, own: np.ndarray, *, roundin
     if not moving and (this.metadata.controller.get("kind") != "unknown" or this.open_loop):
         return simulate_model(model, this, rounding=rounding, start_angle=angle_that_reads(model.rig, start, zero),
                               accel_offset=offset, zero=zero, gap_place=place, more=(share, constant))
-    observer, = observers(data.rig, data.noise[0], (math.inf if this.open_loop else UNKNOWN_AHEAD,))
-    found = predict_run(data, model, observer, run, own, zero=zero, place=place)[0]
+    watched = observers(data.rig, data.noise[0], (math.inf if this.open_loop else UNKNOWN_AHEAD,))
+    found = predict_run(data, model, watched, run, own, zero=zero, place=place)[0][0]
     if rounding:
         found = np.floor(found + 0.5)
     return Simulation(this.t, this.reference, this.command, found[0], found[1] if data.has_accel else None)
@@ -119,12 +119,10 @@ def predicted_ahead(predictor: Predictor, fits: Sequence[Fit] | Fit, nominal: bo
         x = np.zeros_like(left.x) if nominal else left.x
         model, zero = build(left.space.rig_at(x)), left.space.zero(x, data.zero_group[r])
         run, rows = data.runs[r], data.windows[r]
-        found = {}
-        for seconds, observer in zip(AHEAD, watched, strict=True):
-            made, _ = predict_run(data, model, observer, r, data.own[r] if nominal else left.own[r], zero=zero,
-                                  place=left.space.place(x, r))
-            found[f"{seconds:g} s"] = nrmse(run.encoder[rows], made[0][rows])
-        return found
+        made, _ = predict_run(data, model, watched, r, data.own[r] if nominal else left.own[r], zero=zero,
+                              place=left.space.place(x, r))
+        return {f"{seconds:g} s": nrmse(run.encoder[rows], angle[rows])
+                for seconds, angle in zip(AHEAD, made[:, 0], strict=True)}
     return list(predictor.pool.map(one, range(len(data.runs))))
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from station.errors import WorkError
 from station.estimation.noise import QUANTISATION, noise_sigmas, rest_rows, rounding_shares
+from station.estimation.observer import Observer, observers
 from station.model.simulate import build, simulate_model
 from station.rig import PROFILE, Rig
 from station.runs.run import RATES, Run, RunMetadata
@@ -22,8 +23,11 @@ SEGMENTS = 40
 """Most stretches in all runs together; they grow longer instead."""
 RESTS = 100
 """Most rows at rest from which a starting angle is taken."""
+FINDS = 0.1
+"""Horizon (s) of the observer that finds the state of a rig in motion.  Of a shorter one the base follows the encoder
+so stiffly that the beam's errors ring on as on a clamp; a longer one's base forgets late."""
 WARM = 1.0
-"""Seconds for that: what is wrong of a flexible arm's base and first mode is then below a hundredth (see FINDS)."""
+"""Seconds for that: what is wrong of a flexible arm's base and first mode is then below a hundredth."""
 FIRST = 0.02
 """Seconds that tell whether a run begins in motion: too few for a command to move much."""
 RIGIDITY = 0.015
@@ -89,6 +93,11 @@ class Dataset:
     def free(self) -> np.ndarray:
         """(c) the columns of ``own`` that a fit moves."""
         return np.flatnonzero([True, self.has_accel, *[len(self.runs) >= SEVERAL] * 2])
+
+    @cached_property
+    def finder(self) -> Observer:
+        """Finds the state of a rig that is in motion when a log begins."""
+        return observers(self.rig, self.noise[0], (FINDS,))[0]
 
     @cached_property
     def rms_command(self) -> float:

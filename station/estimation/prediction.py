@@ -10,6 +10,7 @@ controller closed the loop: the direct method (Ljung 1999, section 13.4).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,12 +19,12 @@ import numpy as np
 
 from station.estimation.dataset import Dataset
 from station.estimation.likelihood import blocks_independent
-from station.estimation.observer import Observer, observers
+from station.estimation.observer import Observer
 from station.estimation.parameters import Parameters
 from station.model.compiled import kernel
 from station.model.effects import Stage
 from station.model.simulate import Model, build, initial_state
-from station.model.stepper import advance, advance_plain, begin, is_plain, sense, sense_plain
+from station.model.stepper import State, advance, advance_plain, begin, is_plain, sense, sense_plain
 from station.rig import Rig
 
 Accuracy = tuple[float, float, float]
@@ -31,71 +32,91 @@ Accuracy = tuple[float, float, float]
 SEARCH: Accuracy = (0.1, 1e-3, 5e-4)
 FINE: Accuracy = (0.01, 5e-4, 2e-4)
 """Of the simulations in a search (errors below 0.1 count), and of those from which values are stated."""
-FINDS = 0.1
-"""Horizon (s) of the observer that finds the state of a rig in motion.  Of a shorter one the base follows the encoder
-so stiffly that the beam's errors ring on as on a clamp; a longer one's base forgets late."""
 SPAN = math.pi
 """Largest error of the angle that corrects a prediction, rad: a model that has run away is not chased."""
 
 
 @kernel()
-def _predict(plan, state, gain, torque_gain, decay, first, end, span, offset, command, further, measured, logged,
+def _predict(plan, fresh, state, gain, torque_gain, decay, warm, span, offset, command, further, measured, logged,
              predicted, disturbance, work):
-    if first == 0:
+    horizons, plain = predicted.shape[0], is_plain(plan)
+    for horizon in range(horizons):
+        _restart(fresh, state)
         begin(plan, state)
-    d, plain = 0.0, is_plain(plan)
-    for row in range(first, end):
-        if plain:
-            predicted[0, row], predicted[1, row] = sense_plain(plan, state, offset)
-        else:
-            predicted[0, row], predicted[1, row] = sense(plan, state, offset, False)
-        if torque_gain != 0.0:
-            error = 0.0
-            if logged[row]:
-                error = min(max(measured[0, row] - predicted[0, row], -span), span)
-            for i in range(state.z.size):
-                state.z[i] += gain[i] * error
-            d = decay * (d + torque_gain * error)
-        disturbance[row] = d
-        if plain:
-            advance_plain(plan, state, command[row] + further[row] + d)
-        else:
-            advance(plan, state, command[row], further[row] + d, work)
+        d = 0.0
+        for row in range(command.size):
+            used = horizons if row < warm else horizon
+            if row == warm:
+                d = 0.0
+            if plain:
+                encoder, accel = sense_plain(plan, state, offset)
+            else:
+                encoder, accel = sense(plan, state, offset, False)
+            predicted[horizon, 0, row], predicted[horizon, 1, row] = encoder, accel
+            if torque_gain[used] != 0.0:
+                error = 0.0
+                if logged[row]:
+                    error = min(max(measured[0, row] - encoder, -span), span)
+                for i in range(state.z.size):
+                    state.z[i] += gain[used, i] * error
+                d = decay[used] * (d + torque_gain[used] * error)
+            disturbance[horizon, row] = d
+            if plain:
+                advance_plain(plan, state, command[row] + further[row] + d)
+            else:
+                advance(plan, state, command[row], further[row] + d, work)
 
 
-def predict(model: Model, observer: Observer, measured: np.ndarray, command: np.ndarray, *, start_angle: float,
-            offset: float, zero: float = 0.0, gap_place: float = 0.0, equilibrium: bool = False,
+@kernel()
+def _restart(fresh, state):
+    for i in range(fresh.z.size):
+        state.z[i] = fresh.z[i]
+    for i in range(fresh.torque.size):
+        state.torque[i] = fresh.torque[i]
+    for i in range(fresh.effects.size):
+        state.effects[i] = fresh.effects[i]
+    for i in range(fresh.commands.size):
+        state.commands[i] = fresh.commands[i]
+    for i in range(fresh.clock.size):
+        state.clock[i] = fresh.clock[i]
+    for i in range(fresh.last.size):
+        state.last[i] = fresh.last[i]
+
+
+def predict(model: Model, observers: Sequence[Observer], measured: np.ndarray, command: np.ndarray, *,
+            start_angle: float, offset: float, zero: float = 0.0, gap_place: float = 0.0, equilibrium: bool = False,
             logged: np.ndarray | None = None, warm: tuple[Observer, int] | None = None,
             more: tuple[float, float] = (0.0, 0.0)) -> tuple[np.ndarray, np.ndarray]:
-    """One run: predicted channels (2, n), counts, unrounded, and the observer's torque (n), counts of command.
+    """One run by h observers: predicted channels (h, 2, n), counts, unrounded, and the observers' torque (h, n), counts
+    of command.
 
     ``measured`` (2, n) counts, ``command`` (n) counts as logged; angles in rad.  Where ``logged`` (n) is False nothing
     was read, and the observer runs on with its torque.  ``warm``: the observer that finds the state in so many first
     rows, of a run that begins in motion.  ``more``: what the motor does more in this run, a share of the command and a
     constant (counts of command).
     """
-    state = initial_state(model, start_angle, zero, equilibrium=equilibrium, gap_place=gap_place)
-    predicted, disturbance = np.zeros(measured.shape), np.zeros(len(command))
-    read = np.ones(len(command), dtype=bool) if logged is None else logged
-    work, count = np.zeros((4, max(model.plan.port_joint.size, 1))), SPAN / model.rig.angle_per_count
-    quick, rows = warm or (observer, 0)
-    further = more[0] * command + more[1]
-    for used, first, end in ((quick, 0, rows), (observer, rows, len(command))):
-        if end > first:
-            _predict(model.plan, state, model.form.inverse @ used.state, used.torque, used.decay, first, end, count,
-                     offset, command, further, measured, read, predicted, disturbance, work)
+    fresh = initial_state(model, start_angle, zero, equilibrium=equilibrium, gap_place=gap_place)
+    state = State(*(np.zeros_like(array) for array in fresh))
+    rows, (quick, found) = len(command), warm or (observers[0], 0)
+    predicted, disturbance = np.zeros((len(observers), 2, rows)), np.zeros((len(observers), rows))
+    used = [*observers, quick]
+    _predict(model.plan, fresh, state, np.array([o.state for o in used]) @ model.form.inverse.T,
+             np.array([o.torque for o in used]), np.array([o.decay for o in used]), found,
+             SPAN / model.rig.angle_per_count, offset, command, more[0] * command + more[1], measured,
+             np.ones(rows, dtype=bool) if logged is None else logged, predicted, disturbance,
+             np.zeros((4, max(model.plan.port_joint.size, 1))))
     return predicted, disturbance
 
 
-def predict_run(data: Dataset, model: Model, observer: Observer, run: int, own: np.ndarray, *,
+def predict_run(data: Dataset, model: Model, observers: Sequence[Observer], run: int, own: np.ndarray, *,
                 zero: float = 0.0, place: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """As ``predict``, one run of a dataset; ``own`` (4) as ``Dataset.own`` has it."""
     this, rows = data.runs[run], data.warm[run]
-    start, offset, share, constant = (float(value) for value in own)
-    return predict(model, observer, data.measured[run], np.ascontiguousarray(this.command, dtype=float),
+    start, offset, share, constant = own.tolist()
+    return predict(model, observers, data.measured[run], np.ascontiguousarray(this.command, dtype=float),
                    start_angle=angle_that_reads(model.rig, start, zero), offset=offset, zero=zero, gap_place=place,
                    equilibrium=this.metadata.start == "equilibrium", logged=data.logged[run], more=(share, constant),
-                   warm=(observers(data.rig, data.noise[0], (FINDS,))[0], rows) if rows else None)
+                   warm=(data.finder, rows) if rows else None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,10 +174,10 @@ class Predictor:
     def run(self, model: Model, space: Parameters, x: np.ndarray, run: int, own: np.ndarray) -> np.ndarray:
         """One run's predictions (b, n), counts; ``own`` (4) as ``Dataset.own`` has it."""
         zero, place = space.zero(x, self.data.zero_group[run]), space.place(x, run)
-        found = [predict_run(self.data, model, observer, run, own, zero=zero, place=place)[0]
-                 for observer in self.observers]
-        blocks = [y[0] for y in found] + [found[len(found) // 2][1] for _ in range(self._accelerometers)]
-        return np.reshape(blocks, (len(blocks), len(self.data.runs[run])))
+        if not self.observers:
+            return np.zeros((0, len(self.data.runs[run])))
+        found, _ = predict_run(self.data, model, self.observers, run, own, zero=zero, place=place)
+        return np.concatenate([found[:, 0], found[len(found) // 2, [1] * self._accelerometers]])
 
     def runs(self, space: Parameters, x: np.ndarray, own: np.ndarray, *, parallel: bool = False) -> list[np.ndarray]:
         """Every run's predictions, ``own`` (runs, 4); ``parallel`` not from one of the pool's threads."""
