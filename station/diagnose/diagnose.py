@@ -31,12 +31,14 @@ from station.diagnose.result import (
 from station.diagnose.selection import EFFORTS, Selection, fitted, select
 from station.diagnose.thresholds import FEW, NOISE, VARIES
 from station.diagnose.validation import (
+    contradicted,
     gain,
     leave_each_out,
     predicted_ahead,
     simulate_runs,
     simulate_unseen,
     unseen_gain,
+    unseen_gains,
 )
 from station.diagnose.verdict import Stated, stated, verdict
 from station.errors import UsageError, WorkError
@@ -94,13 +96,12 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     names = [run.name for run in runs]
     ahead = (predicted_ahead(predictor, nothing, nominal=True), predicted_ahead(predictor, left_out[said.causes]))
     bought = gain(data, names, before, after, ahead)
-    helped = (unseen_gain(search.weighing, left_out[frozenset()], left_out[said.causes])
-              if said.causes else None)
+    against = contradicted(unseen_gains(search.weighing, left_out[frozenset()], left_out[said.causes]))
     left = remainder(predictor, best)
     values, constants = estimates(best, chosen)
     known = standing(data, said.causes, best.space.rig_at(best.x))
     told = completed(found, said.causes, known) if said.causes in dict(found.sets) else found
-    decision = verdict(said, told, search.screened, left.is_noise, helped, known)
+    decision = verdict(said, told, search.screened, left.is_noise, against, known)
     causes = []
     if decision in ("explained", "partly_explained", "ambiguous"):
         laws = {key: spoken.causes[key] for key in said.causes if spoken.causes[key] != found.causes.get(key)}
@@ -215,7 +216,8 @@ def _ranking(search: Selection, found: Odds, left_out: dict[Causes, list[Fit]]) 
             rows.append(RankedCause(key[0], key[1], found.causes.get(key, 0.0), 0.0, None, {}, "by an equivalence"))
             continue
         fitted = search.fits[holders[0]]
-        gained = (unseen_gain(search.weighing, left_out[frozenset()], left_out[holders[0]])
+        gained = (unseen_gain(search.weighing,
+                              unseen_gains(search.weighing, left_out[frozenset()], left_out[holders[0]]))
                   if holders[0] in left_out and holders[0] else None)
         bought = 2.0 * (search.evidence(fitted) - search.evidence(nothing))
         rows.append(RankedCause(key[0], key[1], found.causes.get(key, 0.0), bought, gained,

@@ -10,6 +10,7 @@ import numpy as np
 
 from station.diagnose.measures import floor, nrmse, step_measures
 from station.diagnose.result import ChannelGain, Gain, RunGain
+from station.diagnose.thresholds import AGAINST
 from station.estimation.dataset import Dataset
 from station.estimation.least_squares import LOST, Fit, fit, own_steps
 from station.estimation.likelihood import Weighing, nuisance_precision, rho
@@ -126,20 +127,27 @@ def predicted_ahead(predictor: Predictor, fits: Sequence[Fit] | Fit, nominal: bo
     return list(predictor.pool.map(one, range(len(data.runs))))
 
 
-def unseen_gain(weighing: Weighing, without: Sequence[Fit], found: Sequence[Fit]) -> float:
-    """By how much causes lower the errors of unseen runs: a share, of fits that leave run after run out.
+def unseen_gains(weighing: Weighing, without: Sequence[Fit], found: Sequence[Fit]) -> np.ndarray:
+    """(runs) by how much causes raise the log likelihood of each run, by fits that leave run after run out.
 
-    1 - exp(-gain per independent error), where the gain is that of the log likelihood of the runs left out (the
-    expected log predictive density of Vehtari, Gelman and Gabry, Stat. Comput. 27, 2017; ``likelihood``'s, before it
-    is tempered): beyond the noise the geometric mean over blocks, each by the independent errors that it holds.
+    The expected log predictive density of Vehtari, Gelman and Gabry, Stat. Comput. 27, 2017; ``likelihood``'s, before
+    it is tempered: beyond the noise the logarithm of the errors, block by block, each by the independent errors that
+    it holds.
     """
-    gained = total = 0.0
-    for r, (before, after) in enumerate(zip(without, found, strict=True)):
-        independent = weighing.independent[r]
-        old, new = (rho(fitted.squares[r] / fitted.counts[r]) for fitted in (before, after))
-        gained += 0.5 * float(independent @ (old - new))
-        total += float(independent.sum())
-    return -math.expm1(-gained / max(total, 1e-300))
+    return np.array([0.5 * float(weighing.independent[r] @ (rho(before.squares[r] / before.counts[r])
+                                                            - rho(after.squares[r] / after.counts[r])))
+                     for r, (before, after) in enumerate(zip(without, found, strict=True))])
+
+
+def unseen_gain(weighing: Weighing, gains: np.ndarray) -> float:
+    """The same (runs) as a share of the errors of unseen runs: 1 - exp(-gain per independent error)."""
+    return -math.expm1(-float(gains.sum()) / max(float(weighing.independent.sum()), 1e-300))
+
+
+def contradicted(gains: np.ndarray) -> bool:
+    """Whether unseen runs speak against causes: their gains (runs) are together below 0 by more than AGAINST standard
+    errors, sqrt(n) times the runs' standard deviation (section 5 there)."""
+    return float(gains.sum()) < -AGAINST * math.sqrt(len(gains)) * float(np.std(gains, ddof=1))
 
 
 def gain(data: Dataset, names: Sequence[str], before: Sequence[Simulation], after: Sequence[Simulation],

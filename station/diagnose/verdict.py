@@ -9,7 +9,7 @@ from station.diagnose.equivalences import Standing
 from station.diagnose.odds import Odds
 from station.diagnose.result import Verdict
 from station.diagnose.screening import Screened
-from station.diagnose.thresholds import HELPS, STABLE, SURE, VISIBLE
+from station.diagnose.thresholds import STABLE, SURE, VISIBLE
 from station.estimation.parameters import Causes
 
 
@@ -38,9 +38,9 @@ def stated(found: Odds) -> Stated:
     return Stated(frozenset(), False)
 
 
-def verdict(said: Stated, told: Odds, screened: Sequence[Screened], is_noise: bool, helped: float | None,
+def verdict(said: Stated, told: Odds, screened: Sequence[Screened], is_noise: bool, against: bool,
             known: Sequence[Standing]) -> Verdict:
-    """The verdict; ``helped``: the share that the causes take off the error on runs left out beside a refit alone."""
+    """The verdict; ``against``: whether runs left out speak against the causes."""
     if not said.causes:
         if not is_noise:
             return "unexplained"
@@ -50,7 +50,7 @@ def verdict(said: Stated, told: Odds, screened: Sequence[Screened], is_noise: bo
                 plain[one.candidate.key] = max(plain.get(one.candidate.key, 0.0), one.information)
         seen = sum(value > VISIBLE for value in plain.values())
         return "nothing_missing" if seen >= 0.5 * len(plain) else "not_enough_data"
-    if not is_noise and (said.ambiguous or helped is None or helped <= HELPS):
+    if not is_noise and (said.ambiguous or against):
         # Where more than noise is left something that no hypothesis holds is at work, too, and what few resamples name
         # may stand in for it.
         return "unexplained"

@@ -30,9 +30,10 @@ WARM = 1.0
 """Seconds for that: what is wrong of a flexible arm's base and first mode is then below a hundredth."""
 FIRST = 0.02
 """Seconds that tell whether a run begins in motion: too few for a command to move much."""
-RIGIDITY = 0.015
+RIGIDITY = 0.03
 """Sigma of each harmonic of a beam's rigidity along its length, where the rig file says nothing: the cube of a
-thickness that varies within a piece by half a percent (between pieces cold rolled strip may by several: EN 10140)."""
+thickness that varies by a percent (of cold rolled strip several are allowed: EN 10140), or a sensor's cable along it.
+"""
 SEVERAL = 3
 """Runs from which on they can tell how much they differ."""
 UNROUNDED = 0.3

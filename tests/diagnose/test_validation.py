@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from station.diagnose import validation as module
-from station.diagnose.validation import leave_each_out, unseen_gain
+from station.diagnose.validation import contradicted, leave_each_out, unseen_gain, unseen_gains
 
 EVEN = SimpleNamespace(independent=np.ones((2, 2)))
 """One independent error in each block of two runs."""
@@ -24,9 +24,9 @@ def test_a_gain_is_the_mean_over_blocks_of_errors_on_the_run_that_each_fit_left_
     """Half the error in one run and the same in the other: 1 - 2^(-1/2); what the fits saw does not count."""
     before = fits([[4.0, 4.0], [0.0, 0.0]], [[0.0, 0.0], [9.0, 9.0]])
     after = fits([[1.0, 1.0], [77.0, 77.0]], [[77.0, 77.0], [9.0, 9.0]])
-    assert unseen_gain(EVEN, before, after) == pytest.approx(1.0 - 0.5**0.5)
-    assert unseen_gain(EVEN, after, before) == pytest.approx(1.0 - 2.0**0.5)
-    assert unseen_gain(EVEN, before, before) == 0.0
+    assert unseen_gain(EVEN, unseen_gains(EVEN, before, after)) == pytest.approx(1.0 - 0.5**0.5)
+    assert unseen_gain(EVEN, unseen_gains(EVEN, after, before)) == pytest.approx(1.0 - 2.0**0.5)
+    assert unseen_gain(EVEN, unseen_gains(EVEN, before, before)) == 0.0
 
 
 def test_a_block_counts_for_the_independent_errors_that_it_holds() -> None:
@@ -34,7 +34,14 @@ def test_a_block_counts_for_the_independent_errors_that_it_holds() -> None:
     weighing = SimpleNamespace(independent=np.array([[90.0, 10.0], [0.0, 0.0]]))
     before = fits([[4.0, 4.0], [1.0, 1.0]], [[1.0, 1.0], [1.0, 1.0]])
     after = fits([[1.0, 16.0], [1.0, 1.0]], [[1.0, 1.0], [1.0, 1.0]])
-    assert unseen_gain(weighing, before, after) == pytest.approx(1.0 - 2.0**-0.8)
+    assert unseen_gain(weighing, unseen_gains(weighing, before, after)) == pytest.approx(1.0 - 2.0**-0.8)
+
+
+@pytest.mark.parametrize(("gains", "wanted"), [
+    ([-3.0, -3.1, -2.9], True), ([-9.0, 4.0, 3.0], False), ([1.0, 2.0], False), ([0.0, 0.0], False)])
+def test_unseen_runs_speak_against_causes_where_their_loss_is_more_than_its_error(gains: list[float],
+                                                                                  wanted: bool) -> None:
+    assert contradicted(np.array(gains)) is wanted
 
 
 def test_every_run_is_left_out_once_from_where_the_fit_of_all_ended(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from station.diagnose.odds import Odds
-from station.diagnose.thresholds import HELPS, STABLE, SURE, VISIBLE
+from station.diagnose.thresholds import STABLE, SURE, VISIBLE
 from station.diagnose.verdict import Stated, stated, verdict
 
 FRICTION, DEAD_ZONE, GAIN = ("coulomb_friction", "motor"), ("dead_zone", "amplifier"), ("parameter:motor.gain", "")
@@ -33,9 +33,9 @@ def screened(*informations: float, candidate: tuple[str, str] | None = None, eff
                             information=information) for i, information in enumerate(informations)]
 
 
-def judged(said: Stated = STATED, told: Odds = SURE_OF_FRICTION, *, noise: bool = True, helped: float | None = 0.5,
+def judged(said: Stated = STATED, told: Odds = SURE_OF_FRICTION, *, noise: bool = True, against: bool = False,
            known: tuple = (), seen: list | None = None) -> str:
-    return verdict(said, told, seen or [], noise, helped, known)
+    return verdict(said, told, seen or [], noise, against, known)
 
 
 def test_a_cause_that_enough_resamples_name_is_stated() -> None:
@@ -85,14 +85,13 @@ def test_a_sure_cause_that_leaves_noise_explains() -> None:
     assert judged() == "explained"
 
 
-def test_a_cause_that_leaves_more_than_noise_explains_part_if_it_helps_on_runs_left_out() -> None:
-    assert judged(noise=False, helped=HELPS + 0.01) == "partly_explained"
+def test_a_cause_that_leaves_more_than_noise_explains_part() -> None:
+    assert judged(noise=False) == "partly_explained"
 
 
-@pytest.mark.parametrize("helped", [None, HELPS, -0.2])
-def test_a_cause_that_leaves_more_than_noise_and_does_not_help_is_not_stated(helped: float | None) -> None:
-    assert judged(noise=False, helped=helped) == "unexplained"
-    assert judged(Stated(frozenset({FRICTION}), True), noise=False, helped=helped) == "unexplained"
+def test_a_cause_that_leaves_more_than_noise_is_not_stated_where_runs_left_out_speak_against_it() -> None:
+    assert judged(noise=False, against=True) == "unexplained"
+    assert judged(Stated(frozenset({FRICTION}), True), noise=False, against=True) == "unexplained"
 
 
 def test_what_the_resamples_cannot_tell_apart_is_ambiguous_and_names_nothing_where_more_than_noise_is_left() -> None:
