@@ -17,11 +17,18 @@ FRICTION, STRIBECK, CLOCK = ((effect_class(name), at) for name, at in (
     ("coulomb_friction", "motor"), ("stribeck_friction", "motor"), ("clock_scale", "")))
 
 
-def found(evidence: float, *effects: tuple, constants: tuple[str, ...] = ()) -> SimpleNamespace:
+class Found(SimpleNamespace):
+    """A fit made up: one of its kind, as fits are, whatever it holds."""
+
+    __hash__ = object.__hash__
+    __eq__ = object.__eq__
+
+
+def found(evidence: float, *effects: tuple, constants: tuple[str, ...] = ()) -> Found:
     hypothesis = Hypothesis(effects, constants)
-    made = SimpleNamespace(space=SimpleNamespace(hypothesis=hypothesis, zeros=0), key=hypothesis.key,
-                           log_evidence=lambda weighing, drawn=None: evidence,
-                           most_likely_differ=lambda weighing: (0.0, 0.0))
+    made = Found(space=SimpleNamespace(hypothesis=hypothesis, zeros=0), key=hypothesis.key,
+                 log_evidence=lambda weighing, drawn=None: evidence,
+                 most_likely_differ=lambda weighing: (0.0, 0.0))
     made.light = made
     return made
 
