@@ -1,8 +1,8 @@
 """The compiled sample path (``exchange.c``) from Python: built, filled, and its rows brought to the log.
 
-C answers the ordinary samples of a session without the interpreter; ``Session`` handles the others, and asks C for their
-answers, too, so that the states of compensator and guard exist once.  Every row goes into one array; a thread of its own
-takes it from there to the log.  For plain serial ports and sockets on POSIX; never run on macOS.
+C answers the ordinary samples of a session without the interpreter; ``Session`` handles the others, and asks C for
+their answers, too, so that the states of compensator and guard exist once.  Every row goes into one array; a thread of
+its own takes it from there to the log.  For plain serial ports and sockets on POSIX; never run on macOS.
 """
 
 from __future__ import annotations
@@ -199,7 +199,8 @@ class Exchange:
         def work() -> None:
             try:
                 while not over.is_set():
-                    if (over if abort.is_set() else abort).wait(PERIOD):
+                    (over if abort.is_set() else abort).wait(PERIOD)
+                    if abort.is_set():
                         self._lib.exchange_abort(self._x)
                     self._deliver(record)
                 self._deliver(record)
