@@ -148,6 +148,8 @@ def summary(result: LoopResult, out: Path) -> str:
                      f"{result.clipped} rows: what acted is smaller than what was asked")
     if result.metadata.entries().get("check") == "forced":
         lines.append("run without a passed check of this device and rig (--force); the log says so")
+    if result.sample_path != "python":
+        lines.append(f"sample path: {result.sample_path}")
     if result.realtime is not None:
         lines.append(result.realtime.words())
     return "\n".join(lines)
@@ -161,6 +163,7 @@ def counted(result: LoopResult, out: Path) -> dict[str, Any]:
             "virtual_time": result.identity.virtual_time, "counts": asdict(result.counts),
             "latency": result.latency.as_dict(), "histogram": result.histogram.as_dict(),
             "without_command": late_share(result), "clipped_rows": result.clipped, "check": entries.get("check"),
+            "sample_path": result.sample_path,
             "realtime": None if result.realtime is None else result.realtime.words()}
 
 

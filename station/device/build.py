@@ -1,6 +1,6 @@
-"""Builds the firmware's host board, a shared library, once for each state of the sources.
+"""Builds the firmware's host board, a shared library, once for each state of the sources; others in the same way.
 
-The library is kept in the user's cache folder (a temporary one where that cannot be written), named by a hash of
+A library is kept in the user's cache folder (a temporary one where that cannot be written), named by a hash of
 sources, flags and platform, and moved into place whole, so that two processes may build at once.  The compiler is
 ``CC``, else cc, gcc or clang, else the one of the ``ziglang`` package.
 """
@@ -18,6 +18,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import platformdirs
 
@@ -94,10 +95,12 @@ def compile_c(command: list[str]) -> None:
         raise WorkError(f"{command[0]}: the firmware core cannot be compiled ({lines[0]})")
 
 
-def compile_library(compiler: list[str], target: Path, flags: tuple[str, ...] = ()) -> None:
-    """Compile the sources to ``target``; WorkError with the compiler's first complaint."""
+def compile_library(compiler: list[str], target: Path, flags: tuple[str, ...] = (),
+                    paths: list[Path] | None = None) -> None:
+    """Compile the sources (``paths``, else the host board's) to ``target``; WorkError with the compiler's first
+    complaint."""
     compile_c([*compiler, *_flags(), *flags, f"-I{firmware_folder() / 'core'}", "-o", str(target),
-               *(str(path) for path in sources() if path.suffix == ".c")])
+               *(str(path) for path in (sources() if paths is None else paths) if path.suffix == ".c")])
 
 
 def keep(name: str, make: Callable[[Path], None]) -> Path:
@@ -118,7 +121,7 @@ def keep(name: str, make: Callable[[Path], None]) -> Path:
     return folders[0] / name
 
 
-def _compile_with_the_first_that_can(target: Path) -> None:
+def _compile_with_the_first_that_can(target: Path, *given: Any) -> None:
     found = compilers()
     if not found:
         raise WorkError("no C compiler for the firmware core: install one (cc, gcc, clang), "
@@ -126,7 +129,7 @@ def _compile_with_the_first_that_can(target: Path) -> None:
     fault = None
     for compiler in found:
         try:
-            compile_library(compiler, target)
+            compile_library(compiler, target, *given)
             return
         except WorkError as error:
             fault = fault or error
@@ -135,5 +138,14 @@ def _compile_with_the_first_that_can(target: Path) -> None:
 
 def build() -> Path:
     """The path of the library, compiled first where there is none for these sources."""
-    key = hashlib.sha256(f"{digest()} {_flags()} {platform.machine()} {sys.platform}".encode()).hexdigest()[:16]
-    return keep(f"core-{key}{_SUFFIX}", _compile_with_the_first_that_can)
+    return _kept("core", digest(), _flags())
+
+
+def build_library(name: str, paths: list[Path], flags: tuple[str, ...]) -> Path:
+    """The same for a library of other sources, headers among them, and further flags."""
+    return _kept(name, digest(paths), [*_flags(), *flags], flags, paths)
+
+
+def _kept(name: str, contents: str, flags: list[str], *given: Any) -> Path:
+    key = hashlib.sha256(f"{contents} {flags} {platform.machine()} {sys.platform}".encode()).hexdigest()[:16]
+    return keep(f"{name}-{key}{_SUFFIX}", lambda target: _compile_with_the_first_that_can(target, *given))

@@ -78,28 +78,29 @@ class Decoder:
     """Splits a stream into bodies, whatever pieces it comes in; counts the frames that do not pass.
 
     ``session`` is the number that frames of scope "session" must carry.  ``pending`` is the number of bytes of a
-    frame whose end has not come.
+    frame whose end has not come, ``rest`` those bytes: whoever reads the line in the decoder's place takes them, and
+    leaves there what it has not handled.  ``overlong``: what comes up to the next delimiter is no frame.
     """
 
     def __init__(self, session: int = 0) -> None:
         self.session = session
         self.corrupt = 0
-        self._rest = b""
-        self._overlong = False
+        self.rest = b""
+        self.overlong = False
 
     @property
     def pending(self) -> int:
         """Bytes kept that belong to an unfinished frame."""
-        return len(self._rest)
+        return len(self.rest)
 
     def feed(self, data: bytes) -> list[bytes]:
         """The bodies that these bytes complete, in their order."""
-        if self._rest:
-            data = self._rest + data
-        *frames, self._rest = data.split(b"\0")
+        if self.rest:
+            data = self.rest + data
+        *frames, self.rest = data.split(b"\0")
         bodies = []
         for frame in frames:
-            overlong, self._overlong = self._overlong or len(frame) >= _FRAME_BYTES, False
+            overlong, self.overlong = self.overlong or len(frame) >= _FRAME_BYTES, False
             if not frame and not overlong:
                 continue
             body = None if overlong else decode(frame, self.session)
@@ -107,6 +108,6 @@ class Decoder:
                 self.corrupt += 1
             else:
                 bodies.append(body)
-        if len(self._rest) >= _FRAME_BYTES:
-            self._rest, self._overlong = b"", True
+        if len(self.rest) >= _FRAME_BYTES:
+            self.rest, self.overlong = b"", True
         return bodies

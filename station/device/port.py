@@ -38,10 +38,10 @@ class Port:
     def read(self, size: int) -> bytes:
         """Up to size bytes; fewer where TIMEOUT passes first."""
         try:
-            self._wake_at(size)
+            self.wake_at(size)
             data = self.serial.read(size)
             if not data and self._wakes_at > 1:
-                self._wake_at(1)
+                self.wake_at(1)
                 if self.serial.in_waiting:
                     data = self.serial._socket.recv(size)
             return data
@@ -62,15 +62,23 @@ class Port:
         except (SerialException, OSError, TypeError) as error:
             raise self._lost(error) from None
 
+    @property
+    def descriptor(self) -> int | None:
+        """The system's number of a plain serial port or socket, for a loop in C; None for others, and on Windows."""
+        if os.name != "posix" or self._send is None:
+            return None
+        connection = getattr(self.serial, "_socket", None)
+        return self.serial.fd if connection is None else connection.fileno()
+
     def read_waiting(self) -> bytes:
         """What has come, at least one byte; b"" where nothing comes for TIMEOUT."""
         try:
-            self._wake_at(1)
+            self.wake_at(1)
             return self.serial.read(max(1, self.serial.in_waiting))
         except (SerialException, OSError, TypeError) as error:
             raise self._lost(error) from None
 
-    def _wake_at(self, count: int) -> None:
+    def wake_at(self, count: int) -> None:
         """Let a socket wake its reader for so many bytes, not for each of a frame that comes in pieces."""
         connection = getattr(self.serial, "_socket", None)
         if count != self._wakes_at and isinstance(connection, socket.socket):

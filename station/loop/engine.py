@@ -19,6 +19,7 @@ from station.device.limits import NO_LIMITS, DeviceLimits
 from station.device.port import TIMEOUT
 from station.device.protocol import MESSAGES, Fault, State, Status
 from station.errors import WorkError
+from station.loop.exchange import Exchange, Record
 
 SILENCE_SECONDS = 0.5
 """A device that sends no sample for so long is lost, whatever else the line brings."""
@@ -85,9 +86,6 @@ class Counts:
 
 Respond = Callable[[int, int, int], int]
 """respond(row, encoder, accel): the command (whole counts) for tick row + answer_ticks."""
-Record = Callable[[int, int, int, int, int, int, float, float, float], None]
-"""record(row, clock, encoder, accel, command, status, sent, received, written): one sample and its answer; sent and
-written are NaN where something broke before the answer was out."""
 
 
 @contextmanager
@@ -138,19 +136,25 @@ class Session:
     """A session on a device that was identified and is idle.  ``counts`` is filled in also where ``run`` raises.
 
     ``abort``: once it is set, the next sample is answered with the command 0 and a stop, and ``run`` raises
-    KeyboardInterrupt.  ``row`` is the last row that a sample came for (-1: none), for a display to look at.
+    KeyboardInterrupt.  ``exchange``: C handles the ordinary samples; ``respond`` and ``record`` are then its own.
     """
 
     def __init__(self, client: Client, setup: Setup, rows: int, respond: Respond, record: Record,
-                 abort: threading.Event | None = None) -> None:
+                 abort: threading.Event | None = None, exchange: Exchange | None = None) -> None:
         self.client = client
         self.counts = Counts()
-        self.row = -1
+        self._row = -1
+        self._exchange = exchange
         self._setup, self._rows = setup, rows
         self._respond, self._record = respond, record
         self._abort = abort or threading.Event()
         self._missing: deque[int] = deque(maxlen=_REMEMBERED)  # rows whose sample did not come in its turn
         self._unanswered: int | None = None  # index of the command that the last sample still waits for
+
+    @property
+    def row(self) -> int:
+        """The last row that a sample came for (-1: none), for a display to look at."""
+        return self._row if self._exchange is None else max(self._row, self._exchange.shown)
 
     def run(self) -> Counts:
         """Arm, start, and run to the last row.  WorkError: the line was lost, the device went silent or into fault.
@@ -186,7 +190,8 @@ class Session:
 
     def _loop(self) -> None:
         client, counts, rows, answer_ticks = self.client, self.counts, self._rows, self._setup.answer_ticks
-        read, write, decoder, feed = client.port.read, client.port.write, client.decoder, client.decoder.feed
+        exchange, decoder, feed = self._exchange, client.decoder, client.decoder.feed
+        read, write = client.port.read, client.port.write if exchange is None else exchange.write
         respond, record, now, session = self._respond, self._record, time.perf_counter, client.session
         unpack, pack = _SAMPLE.struct.unpack, _COMMAND.struct.pack
         sample_code, command_code, wire_size = _SAMPLE.code, _COMMAND.code, _SAMPLE.wire_size
@@ -195,7 +200,7 @@ class Session:
         heard = received  # when the last sample of this session came
         patience = SILENCE_SECONDS if client.paced else VIRTUAL_SILENCE_SECONDS
         encoder = accel = 0
-        data = b""
+        came = False
         bodies = list(client.inbox)
         client.inbox.clear()
         while True:
@@ -219,7 +224,7 @@ class Session:
                     return
                 heard, empty = received, 0.0
                 encoder, accel = readings
-                self.row = row
+                self._row = row
                 self._unanswered = row + answer_ticks
                 if status & _UNANSWERED:
                     counts.unanswered += 1
@@ -241,18 +246,35 @@ class Session:
             gone = received - heard
             # In virtual time, reads that wait are this machine's: a device in another process may be starved by it.
             if (empty >= SILENCE_SECONDS and (client.paced or gone < 0.5 * empty)) or gone > patience:
-                raise WorkError(f"{client.port.url}: {'no sample came' if data else 'the device fell silent'} after "
+                raise WorkError(f"{client.port.url}: {'no sample came' if came else 'the device fell silent'} after "
                                 f"row {row}; check cable and power")
-            data = read(max(wire_size - decoder.pending, 1))
-            received = now()
-            if not data:
+            if exchange is None or decoder.overlong:
+                data = read(max(wire_size - decoder.pending, 1))
+                received, came = now(), bool(data)
+            else:
+                data, came = b"", self._exchange_ordinary(exchange, row, received)
+                received = exchange.received
+                if exchange.row > row:
+                    row, heard, empty = exchange.row, exchange.heard, 0.0
+                    encoder, accel = exchange.readings
+            if not came:
                 empty += TIMEOUT
             bodies = feed(data)
+
+    def _exchange_ordinary(self, exchange: Exchange, row: int, received: float) -> bool:
+        """Let C handle what is ordinary after a row; whether anything came.  Whatever ends it, its rows are counted."""
+        exchange.begin(row, received, self.client.session)
+        try:
+            return exchange.run(self.client)
+        finally:
+            self._row = exchange.row
+            self.counts.samples += exchange.row - row
+            self.counts.unanswered += exchange.unanswered
 
     def _again(self, index: int) -> None:
         """A sample of a tick that has passed: one that was overtaken (lost, as its tick was answered without it)
         or one that came twice."""
-        row = self.row - ((self.row - index) & _MASK16)
+        row = self._row - ((self._row - index) & _MASK16)
         if row in self._missing:
             self._missing.remove(row)
             self.counts.reordered += 1
@@ -268,7 +290,7 @@ class Session:
     def _count_left(self) -> None:
         """Samples that came again and were still unread when the session ended."""
         for body in self.client.inbox:
-            if body[0] == _SAMPLE.code and (self.row - (index := _SAMPLE.unpack(body).index)) & _MASK16 < 0x8000:
+            if body[0] == _SAMPLE.code and (self._row - (index := _SAMPLE.unpack(body).index)) & _MASK16 < 0x8000:
                 self._again(index)
         self.client.inbox.clear()
 

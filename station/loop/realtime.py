@@ -45,14 +45,17 @@ Wish = tuple[str, Callable[[ExitStack], None]]
 
 
 @contextmanager
-def undisturbed_thread(wanted: bool) -> Iterator[Realtime | None]:
-    """The calling thread in real-time mode while the block runs; all is put back at its end.  None: not wanted."""
+def undisturbed_thread(wanted: bool, alone: bool = False) -> Iterator[Realtime | None]:
+    """The calling thread in real-time mode while the block runs; all is put back at its end.  None: not wanted.
+
+    ``alone``: it answers without the interpreter, and the process's other threads stay as they are.
+    """
     if not wanted:
         yield None
         return
     got, missing = [], []
     with ExitStack() as undo:
-        for name, bring in _wishes():
+        for name, bring in _wishes(alone):
             try:
                 bring(undo)
                 got.append(name)
@@ -61,7 +64,7 @@ def undisturbed_thread(wanted: bool) -> Iterator[Realtime | None]:
         yield Realtime(tuple(got), tuple(missing))
 
 
-def _wishes() -> list[Wish]:
+def _wishes(alone: bool) -> list[Wish]:
     own: list[Wish]
     if sys.platform == "win32":
         own = [("highest thread priority", _windows_priority), ("one core", _windows_core),
@@ -70,7 +73,9 @@ def _wishes() -> list[Wish]:
         own = [("time-constraint scheduling", _macos_policy)]
     else:
         own = [("memory locked", _lock_memory), ("one core", _one_core), ("cores kept awake", _stay_awake),
-               ("SCHED_FIFO", _fifo), ("its other threads next (SCHED_FIFO)", _others_too)]
+               ("SCHED_FIFO", _fifo)]
+        if not alone:
+            own.append(("its other threads next (SCHED_FIFO)", _others_too))
     return [("garbage collection frozen", _freeze), *own]
 
 

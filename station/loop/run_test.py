@@ -14,6 +14,7 @@ import platform
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -31,6 +32,7 @@ from station.loop import checked
 from station.loop.clocks import DeviceClock, HostClock, Pace, pace
 from station.loop.display import watched
 from station.loop.engine import Counts, Session, Setup
+from station.loop.exchange import COMPILED, INTERPRETED, Exchange, sample_path
 from station.loop.realtime import Realtime, undisturbed_thread
 from station.loop.safety import (
     Guard,
@@ -74,6 +76,8 @@ class LoopResult:
     seconds: float = 0.0
     clipped: int = 0
     """Rows of an open-loop test whose command was cut to the limit."""
+    sample_path: str = INTERPRETED
+    """What answered the ordinary samples: ``compiled``, or ``python``, with the reason where C was wanted."""
 
 
 def versions() -> dict[str, str]:
@@ -179,6 +183,7 @@ def run_test(port: Port, rig: Rig, compensator: Compensator, reference: np.ndarr
     compensator.limit = limit  # it works on with what acts, not with what the device would cut
     require_small_first_command(port.url, rig.sample_rate, compensator, reference[0], rest.encoder, accel_zero)
     compensator.reset(accel_zero)
+    path = sample_path(port, compensator)
     clock = HostClock()
     known = metadata.entries() if isinstance(metadata, RunMetadata) else dict(metadata or {})
     completed = RunMetadata.model_validate({
@@ -188,11 +193,11 @@ def run_test(port: Port, rig: Rig, compensator: Compensator, reference: np.ndarr
         "accel_zero": accel_zero, "accel_sigma": rest.accel_sigma, "start": "released", "rounding": True,
         "answer_ticks": answer_ticks, "clock": "virtual" if identity.virtual_time else "real", "port": port.url,
         "command_limit": limit, "check": check, "began": clock.wall(clock.host_time).strftime("%Y-%m-%dT%H:%M:%SZ"),
-        "host_time_began": clock.host_time, "outcome": "running"} | known)
+        "host_time_began": clock.host_time, "sample_path": path, "outcome": "running"} | known)
     setup = Setup(identity, rig.sample_rate, limit, answer_ticks, DeviceLimits.of_rig(rig))
     sink = log_sink(completed)
     try:
-        result = LoopResult(identity, completed, rest, Counts(),
+        result = LoopResult(identity, completed, rest, Counts(), sample_path=path,
                             clipped=clipped_rows(reference, limit, compensator.open_loop))
         _drive(client, setup, compensator, reference, sink, result, progress, abort, realtime)
     finally:
@@ -238,12 +243,19 @@ def _drive(client: Client, setup: Setup, compensator: Compensator, reference: np
         append((row, row / rate, wanted[row], command, encoder, accel, device_time, received, status, sent,
                 latency, period - latency))
 
-    session = Session(client, setup, rows, respond, record, abort)
+    abort = abort or threading.Event()
+    exchange = None
+    if result.sample_path == COMPILED:
+        exchange = Exchange(client.port, compensator, guard, reference, answer_ticks)
+        session = Session(client, setup, rows, exchange.respond, exchange.record, abort, exchange)
+    else:
+        session = Session(client, setup, rows, respond, record, abort)
     begun = time.perf_counter()
     failure: BaseException | None = None
     try:
         with watched(session, None if progress is None else lambda row: progress(row, rows)), \
-                undisturbed_thread(realtime) as got:
+                nullcontext() if exchange is None else exchange.serving(record, abort), \
+                undisturbed_thread(realtime, exchange is not None) as got:
             result.realtime = got
             session.run()
     except BaseException as error:

@@ -71,35 +71,46 @@ class Guard:
     an encoder that stands still under a large command (``limit``: the command's, counts; ``rate``: Hz)."""
 
     def __init__(self, url: str, limits: DeviceLimits, start: int, limit: float, rate: float) -> None:
-        self._url, self._limits, self._start = url, limits, start
+        self._url, self.limits, self.start = url, limits, start
         self._last = deque([start] * SPEED_TICKS, SPEED_TICKS)
         self.limited = bool(limits.travel or limits.speed)
-        self._level, self._patience = STALL_SHARE * limit, max(round(STALL_SECONDS * rate), 2)
+        self.level, self.patience = STALL_SHARE * limit, max(round(STALL_SECONDS * rate), 2)
         self._stood, self._still = start, 0
 
     def drive(self, row: int, encoder: int, command: float) -> None:
         """WorkError where the command (counts) has been large for STALL_SECONDS and the encoder has not moved."""
-        if abs(command) < self._level or abs(encoder - self._stood) > 1:
+        if abs(command) < self.level or abs(encoder - self._stood) > 1:
             self._stood, self._still = encoder, 0
             return
         self._still += 1
-        if self._still >= self._patience:
-            raise WorkError(f"{self._url}: the motor was driven at {abs(command):.0f} counts for {STALL_SECONDS:g} s "
-                            f"and the encoder stood still; stopped at row {row}; see what holds "
-                            "the arm, the motor's power, and the encoder's cable")
+        if self._still >= self.patience:
+            raise self.stalled(row, command)
 
     def see(self, row: int, encoder: int) -> None:
         """WorkError where the encoder's reading (counts) of this row is beyond a limit."""
-        travel, speed = abs(encoder - self._start), abs(encoder - self._last[0])
+        travel, speed = abs(encoder - self.start), abs(encoder - self._last[0])
         self._last.append(encoder)
-        if self._limits.travel and travel > self._limits.travel:
-            raise WorkError(f"{self._url}: the arm went {travel} counts from where it began, the limit is "
-                            f"{self._limits.travel}; stopped at row {row}; bring the arm back, "
-                            "then ask for less")
-        if self._limits.speed and speed > self._limits.speed:
-            raise WorkError(f"{self._url}: the encoder moved {speed} counts in {SPEED_TICKS} ticks, the limit is "
-                            f"{self._limits.speed}; stopped at row {row}; ask for less, and see "
-                            "that the encoder counts well")
+        if self.limits.travel and travel > self.limits.travel:
+            raise self.too_far(row, travel)
+        if self.limits.speed and speed > self.limits.speed:
+            raise self.too_fast(row, speed)
+
+    def stalled(self, row: int, command: float) -> WorkError:
+        """What is said of a motor that drives and moves nothing."""
+        return WorkError(f"{self._url}: the motor was driven at {abs(command):.0f} counts for {STALL_SECONDS:g} s "
+                         f"and the encoder stood still; stopped at row {row}; see what holds "
+                         "the arm, the motor's power, and the encoder's cable")
+
+    def too_far(self, row: int, travel: float) -> WorkError:
+        """What is said of an arm beyond the limit of travel (counts)."""
+        return WorkError(f"{self._url}: the arm went {travel:.0f} counts from where it began, the limit is "
+                         f"{self.limits.travel}; stopped at row {row}; bring the arm back, then ask for less")
+
+    def too_fast(self, row: int, speed: float) -> WorkError:
+        """What is said of an arm beyond the limit of speed (counts in SPEED_TICKS ticks)."""
+        return WorkError(f"{self._url}: the encoder moved {speed:.0f} counts in {SPEED_TICKS} ticks, the limit is "
+                         f"{self.limits.speed}; stopped at row {row}; ask for less, and see that the encoder counts "
+                         "well")
 
 
 def clipped_rows(reference: np.ndarray, limit: float, open_loop: bool) -> int:
