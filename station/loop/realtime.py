@@ -1,7 +1,7 @@
 """Real-time mode: what the operating system offers so that nothing disturbs the thread that answers samples.
 
 Each wish is asked for alone; what was granted and what was not, and why, is told and logged.  Linux: SCHED_FIFO,
-memory locked, the thread on one core, that core kept awake.  macOS: the thread's time-constraint policy.  Windows:
+memory locked, the thread on one core, cores kept awake.  macOS: the thread's time-constraint policy.  Windows:
 the thread's highest priority, the process's high priority class, one core, a timer of 1 ms.  Everywhere: garbage
 collection off and what exists frozen.  The parts for macOS and Windows were never run there.
 """
@@ -21,6 +21,7 @@ PRIORITY = 50
 """SCHED_FIFO: above ordinary threads, with room above for the kernel's own interrupt threads."""
 _LOCK_CURRENT, _LOCK_FUTURE = 1, 2
 _DMA_LATENCY = "/dev/cpu_dma_latency"
+_CPUINFO = "/proc/cpuinfo"
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,14 @@ def _lock_memory(undo: ExitStack) -> None:
 
 
 def _stay_awake(undo: ExitStack) -> None:
-    """While this file is open with 0 in it, the kernel enters no sleep state that takes long to leave."""
+    """While this file is open with 0 in it, the kernel enters no sleep state that takes long to leave.
+
+    In a virtual machine idle cores then spin, which uses up their share of the host's, and the host stalls them: 6 ms
+    at a time where this was measured, on a period of 100 ms (``scripts/bench/loop_paced.py``: docs/lab.md).
+    """
+    with open(_CPUINFO, encoding="utf-8") as told:
+        if any(line.startswith("flags") and " hypervisor" in line for line in told):
+            raise OSError("in a virtual machine idle cores would spin, and its host stall them")
     file = os.open(_DMA_LATENCY, os.O_WRONLY)
     undo.callback(os.close, file)
     os.write(file, (0).to_bytes(4, sys.byteorder))

@@ -36,16 +36,32 @@ def test_what_is_said_to_be_granted_is_so_and_is_put_back():
 
 
 @LINUX
-def test_what_is_refused_is_told_with_the_systems_words(monkeypatch):
+def test_what_is_refused_is_told_with_the_systems_words(monkeypatch, tmp_path):
     def refused(*_):
         raise PermissionError(errno.EPERM, "Operation not permitted")
 
     monkeypatch.setattr(os, "sched_setscheduler", refused)
     monkeypatch.setattr(realtime, "_DMA_LATENCY", "/nonexistent/latency")
+    monkeypatch.setattr(realtime, "_CPUINFO", str(tmp_path / "cpuinfo"))
+    (tmp_path / "cpuinfo").write_text("processor : 0\nflags : fpu tsc\n")
     with undisturbed_thread(True) as found:
         assert "SCHED_FIFO (Operation not permitted)" in found.missing
         assert "cores kept awake (No such file or directory)" in found.missing
         assert "not granted: cores kept awake" in found.words()
+
+
+@LINUX
+@pytest.mark.parametrize(("flags", "kept"), [("fpu tsc sse2", True), ("fpu tsc hypervisor sse2", False)])
+def test_cores_are_kept_awake_but_in_a_virtual_machine(flags, kept, monkeypatch, tmp_path):
+    latency, told = tmp_path / "latency", tmp_path / "cpuinfo"
+    told.write_text(f"processor : 0\nflags : {flags}\nbugs : none\n")
+    latency.write_bytes(b"")
+    monkeypatch.setattr(realtime, "_CPUINFO", str(told))
+    monkeypatch.setattr(realtime, "_DMA_LATENCY", str(latency))
+    with undisturbed_thread(True) as found:
+        assert latency.read_bytes() == (bytes(4) if kept else b"")
+        assert ("cores kept awake" in found.got) == kept
+        assert any("cores would spin" in words for words in found.missing) != kept
 
 
 def test_it_is_off_where_it_is_not_asked_for():
