@@ -31,6 +31,3 @@ NOISE = 6.0
 rounding."""
 FEW = 3
 """Runs below which even a settled verdict asks for another test."""
-AGAINST = 1.0
-"""Standard errors by which named causes must raise the errors on runs left out, beside a refit of the constants, for
-these to speak against them: within one, rules are taken for equal (Hastie, Tibshirani and Friedman, section 7.10)."""

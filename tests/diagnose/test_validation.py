@@ -38,9 +38,9 @@ def test_a_block_counts_for_the_independent_errors_that_it_holds() -> None:
 
 
 @pytest.mark.parametrize(("gains", "wanted"), [
-    ([-3.0, -3.1, -2.9], True), ([-9.0, 4.0, 3.0], False), ([1.0, 2.0], False), ([0.0, 0.0], False)])
-def test_unseen_runs_speak_against_causes_where_their_loss_is_more_than_its_error(gains: list[float],
-                                                                                  wanted: bool) -> None:
+    ([-3.0, -3.1, -2.9], True), ([-9.0, 4.0, 3.0], True), ([-9.0, 4.0, 6.0], False), ([1.0, 2.0], False)])
+def test_unseen_runs_speak_against_causes_where_they_are_met_worse_on_the_whole(gains: list[float],
+                                                                                wanted: bool) -> None:
     assert contradicted(np.array(gains)) is wanted
 
 
