@@ -45,7 +45,7 @@ class Log(McapLogWriter):
             print("running", flush=True)
 with open_port(sys.argv[2]) as port:
     run_test(port, rig, compensator, reference, log_sink=partial(Log, sys.argv[1], blueprint=False), accel_zero=0.0,
-             relative=True)
+             relative=True, force=True)
 """
 WANTED = 0.05
 _ATTEMPTS = 20
