@@ -147,6 +147,15 @@ class Predictor:
         """(runs, b) independent errors of the sensors."""
         return np.maximum([self.share(r).sum(axis=1) for r in range(len(self.data.runs))], 1e-9)
 
+    @cached_property
+    def power(self) -> np.ndarray:
+        """(runs, b) mean square of what was read, from where a run began, in units of the noise."""
+        data = self.data
+        first = np.stack([data.start / data.rig.angle_per_count, data.offset], axis=1)
+        found = [np.sum(((m[: data.channels] - f[: data.channels, None]) / data.sigma[:, None]) ** 2 * s, axis=1)
+                 for m, s, f in zip(data.measured, data.share, first, strict=True)]
+        return (np.array(found) / np.maximum(data.counts, 1e-9))[:, self.channel]
+
     def measured(self, run: int) -> np.ndarray:
         """(b, n) what one run's predictions are held against, counts."""
         return self.data.measured[run][self.channel]
@@ -162,9 +171,9 @@ class Predictor:
         """
         return (np.sqrt(self.data.share[run]) / self.data.sigma[:, None])[self.channel]
 
-    def independent(self, residuals: list[np.ndarray]) -> np.ndarray:
-        """(runs, b) N of every block, from scaled errors (b, n) of every run."""
-        return blocks_independent(self.counts, residuals)
+    def independent(self, squares: np.ndarray, residuals: list[np.ndarray]) -> np.ndarray:
+        """(runs, b) N of every block, from S (runs, b) and scaled errors (b, n) of every run."""
+        return blocks_independent(squares, self.counts, self.power, residuals)
 
     def model(self, space: Parameters, x: np.ndarray) -> Model:
         """The rig that a parameter vector describes, made ready for the many simulations of a fit."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -103,10 +104,17 @@ class ResponsePredictor(Predictor):
         """(b, n) one over the errors' size."""
         return self._joined(run, super().scale(run), lambda s: (1.0 + 1.0j) / s.error)
 
-    def independent(self, residuals: list[np.ndarray]) -> np.ndarray:
+    @cached_property
+    def power(self) -> np.ndarray:
+        """(runs, b) what errors are in proportion to: a response's logarithm is in error by as much in all runs."""
+        times = super().power
+        return np.hstack([times, np.ones((len(times), 2 * self.data.channels))])
+
+    def independent(self, squares: np.ndarray, residuals: list[np.ndarray]) -> np.ndarray:
         """(runs, b) N of every block."""
         times = len(self.channel)
-        read = blocks_independent(self.counts[:, :times], [e[:times] for e in residuals])
+        read = blocks_independent(squares[:, :times], self.counts[:, :times], self.power[:, :times],
+                                  [e[:times] for e in residuals])
         return np.hstack([read, ALIKE * self.counts[:, times:]])
 
     def run(self, model: Model, space: Parameters, x: np.ndarray, run: int, own: np.ndarray) -> np.ndarray:
