@@ -12,7 +12,7 @@ from station.diagnose.measures import floor, nrmse, step_measures
 from station.diagnose.result import ChannelGain, Gain, RunGain
 from station.estimation.dataset import Dataset
 from station.estimation.least_squares import LOST, Fit, fit, own_steps
-from station.estimation.likelihood import Weighing, costs, nuisance_precision
+from station.estimation.likelihood import Weighing, nuisance_precision, rho
 from station.estimation.observer import observers
 from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor, angle_that_reads, predict_run
@@ -130,13 +130,12 @@ def unseen_gains(weighing: Weighing, without: Sequence[Fit], found: Sequence[Fit
     """(runs) by how much causes raise the log likelihood of each run, by fits that leave run after run out.
 
     The expected log predictive density of Vehtari, Gelman and Gabry, Stat. Comput. 27, 2017; ``likelihood``'s, before
-    it is tempered, the size of errors that of all unseen runs together.
+    it is tempered: beyond the noise the logarithm of the errors, block by block, each by the independent errors that
+    it holds.
     """
-    def unseen(fits: Sequence[Fit]) -> np.ndarray:
-        squares = np.array([left.squares[r] for r, left in enumerate(fits)])
-        return costs(squares, fits[0].counts, weighing.independent, fits[0].power).sum(axis=1)
-
-    return 0.5 * (unseen(without) - unseen(found))
+    return np.array([0.5 * float(weighing.independent[r] @ (rho(before.squares[r] / before.counts[r])
+                                                            - rho(after.squares[r] / after.counts[r])))
+                     for r, (before, after) in enumerate(zip(without, found, strict=True))])
 
 
 def unseen_gain(weighing: Weighing, gains: np.ndarray) -> float:

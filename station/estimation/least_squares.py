@@ -1,7 +1,7 @@
 """Fitting one hypothesis: Levenberg-Marquardt with priors, per-run nuisances eliminated.
 
-With errors e, Jacobian J and weights W of the blocks (what ``likelihood`` falls by with their squares, over T), a run
-adds the normal matrix J'WJ and the gradient J'We; what each run has of its own is eliminated from both (Schur's complement).  Derivatives may
+With errors e, Jacobian J and weights W = N/max(S, n)/T of the blocks (see ``likelihood``), a run adds the normal matrix
+J'WJ and the gradient J'We; what each run has of its own is eliminated from both (Schur's complement).  Derivatives may
 be handed over from a neighbouring hypothesis; after each step they are corrected by what the step did (Broyden 1965),
 and computed afresh where that does not lead on.
 """
@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from station.estimation.dataset import SEVERAL, Dataset
-from station.estimation.likelihood import Weighing, costs, differ_precision, nuisance_precision, temperature, weights
+from station.estimation.likelihood import Weighing, cost, differ_precision, nuisance_precision, temperature
 from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor
 
@@ -73,8 +73,6 @@ class Fit:
     """(runs, b) sums of squared scaled errors."""
     counts: np.ndarray
     """(runs, b) independent errors of the sensors."""
-    power: np.ndarray
-    """(runs, b) mean square of what was read, in units of the noise."""
     residuals: list[np.ndarray]
     """Per run (b, n), scaled."""
     predicted: list[np.ndarray]
@@ -110,7 +108,8 @@ class Fit:
 
     def blocks(self, weighing: Weighing, drawn: np.ndarray | None = None) -> np.ndarray:
         """(runs, b) weights W of the blocks at this fit; ``drawn`` (s): how often each stretch counts."""
-        return weights(*self.drawn(weighing, drawn), self.power) / weighing.temperature
+        squares, counts, independent = self.drawn(weighing, drawn)
+        return independent / np.maximum(squares, counts) / weighing.temperature
 
     def drawn(self, weighing: Weighing, drawn: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Squares, counts and independent errors (runs, b) of a resample."""
@@ -212,8 +211,7 @@ class Fit:
         matrix, step, moved, inverse = self._stepped(matrices, slopes, own)
         whole = np.concatenate([np.broadcast_to(step, (len(moved), len(step))), moved], axis=1)
         gained = float(np.sum(whole * (2.0 * slopes - (matrices @ whole[:, :, None])[:, :, 0])))
-        value = (float(costs(squares, counts, independent, self.power).sum()) / weighing.temperature
-                 - min(gained, MOST_GAINED)
+        value = (cost(squares, counts, independent) / weighing.temperature - min(gained, MOST_GAINED)
                  + float(prior @ (delta + step) ** 2) + float(np.sum(own * (self.away + moved) ** 2)))
         volume = (float(np.sum(np.log(prior))) - float(np.linalg.slogdet(matrix)[1])
                   + len(self.squares) * float(np.sum(np.log(own))) + float(np.linalg.slogdet(inverse)[1].sum()))
@@ -243,7 +241,7 @@ class _Descent:
         data = self.data = predictor.data
         self.scale = [predictor.scale(r) for r in range(len(data.runs))]
         self.measured = [predictor.measured(r) for r in range(len(data.runs))]
-        self.counts, self.power, self.kept = predictor.counts, predictor.power, runs > 0.0
+        self.counts = predictor.counts
         self.nuisance = nuisance_precision(data, weighing.differ)
         self.steps = np.append(np.full(space.size, STEP), own_steps(data)[data.free])
         self.steps[space.parts["places"]] = PLACE_STEP
@@ -257,17 +255,12 @@ class _Descent:
         with np.errstate(over="ignore", invalid="ignore"):
             residuals = [(m - y) * s for m, y, s in zip(self.measured, predicted, self.scale, strict=True)]
             squares = np.array([np.sum(e * e, axis=1) for e in residuals])
-        value = float(costs(*self.blocks(squares)).sum()) / self.weighing.temperature
+        value = cost(squares[self.runs > 0.0], self.counts[self.runs > 0.0],
+                     (self.runs[:, None] * self.weighing.independent)[self.runs > 0.0]) / self.weighing.temperature
         value += float(self.space.precision @ (x - self.space.mean) ** 2)
         value += float(np.sum(self.nuisance * self.away(own) ** 2))
         value = value if np.all(np.isfinite(squares)) else np.inf
         return _Point(x, own, predicted, residuals, squares, value)
-
-    def blocks(self, squares: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """S, n, N and p of the blocks of the runs that count."""
-        kept = self.kept
-        return (squares[kept], self.counts[kept], (self.runs[:, None] * self.weighing.independent)[kept],
-                self.power[kept])
 
     def column(self, here: _Point, k: int) -> list[np.ndarray]:
         """Derivatives of the scaled predictions by one parameter or nuisance, per run; 0 where none is simulated.
@@ -312,8 +305,8 @@ class _Descent:
         """Normal matrix and force of the objective, and what gives the nuisances back: per run (c, p + 1)."""
         p, prior = self.space.size, self.space.precision
         matrix, force, back = np.diag(prior).copy(), -prior * (here.x - self.space.mean), []
-        w = np.zeros_like(here.squares)
-        w[self.kept] = weights(*self.blocks(here.squares)) / self.weighing.temperature
+        w = (self.weighing.independent / np.maximum(here.squares, self.counts) / self.weighing.temperature
+             * self.runs[:, None])
         away = self.away(here.own)
         for r, (j, e) in enumerate(zip(jac, here.residuals, strict=True)):
             root = np.sqrt(np.maximum(w[r], 1e-12))[:, None]
@@ -407,7 +400,7 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
             break
         jac, fresh, renewals = descent.jacobian(here), True, renewals - 1
     return Fit(space, here.x, here.own, descent.away(here.own), here.objective, here.squares, descent.counts,
-               descent.power, here.residuals, here.predicted, jac, descent.information(here, jac), weighing, descent.nuisance,
+               here.residuals, here.predicted, jac, descent.information(here, jac), weighing, descent.nuisance,
                data.segment_run)
 
 

@@ -1,23 +1,24 @@
 """What prediction errors are worth: a likelihood that knows that models are imperfect.
 
-Errors come in blocks: a run r, a channel and a horizon.  With S the sum of a block's squared errors in units of the
-sensor's noise, weighed by the independent errors in each sample, n their number, N <= n the number of independent
-errors that the block really holds and p the mean square of what the channel shows in that run, in the same units,
+Errors come in blocks: a run, a channel and a horizon.  With S the sum of a block's squared errors in units of the
+sensor's noise, weighed by the independent errors in each sample, n their number and N <= n the number of independent
+errors that the block really holds,
 
-    S/n ~ v_r g_r,   v_r = 1 + lambda p_r,   1/g_r ~ chi^2(nu)/nu,
-    -2 ln L = sum over blocks of (N + nu) ln(1 + N (S/n)/(nu v_r)) + N ln v_r - 2 ln c(N, nu):
+    -2 ln L = sum over blocks of N rho(S/n),   rho(s) = s for s <= 1,  1 + ln s beyond:
 
-noise, and what the model misses, which is in proportion to what a run shows, the same share lambda of it in all runs
-but for a factor g_r.  Errors of unknown size follow Student's t (Gelman et al., Bayesian Data Analysis, 3rd ed. 2013,
-sections 3.2 and 17.2); c is its normalisation.  lambda and nu are those of every horizon and channel, most likely of all
-runs together (empirical Bayes, section 5.4).  Where a model reaches the noise lambda is 0 and nu infinite, and this is
-the likelihood of output errors; one run that a model happens to meet does not outweigh what the others say of it.
+the noise's likelihood where a model reaches the noise, and beyond it that of errors whose size is unknown (profiled
+out; Ljung 1999, section 7.4).  N follows from the errors' own autocorrelation r: a mean square of n correlated errors
+is as uncertain as one of n / sum r^2 independent ones (Bayley and Hammersley, J. R. Stat. Soc. Suppl. 8, 1946).
 
-N follows from the errors' own autocorrelation r: a mean square of n correlated errors is as uncertain as one of
-n / sum r^2 independent ones (Bayley and Hammersley, J. R. Stat. Soc. Suppl. 8, 1946).  What is missed is of one kind in
-all runs, too: with kappa the sum of its r^2 beyond lag 0, and white noise beside it,
+What a model misses is of one kind in all runs: in proportion to what a run shows, and of one colour.  So a run that a
+model happens to meet, with as many parameters as it has slow swings, holds no more independent errors than the others
+say.  With p the mean square of what a channel shows in run r, in units of the noise, S/n is taken to scatter about
 
-    n/N_r = 1 + kappa (1 - 1/v_r)^2,   kappa from all runs.
+    v_r = 1 + lambda p_r:   S/(n v_r) ~ F(N, nu),   n/N_r >= 1 + kappa (1 - 1/v_r)^2,
+
+noise beside errors of which r^2 sums to kappa beyond lag 0; lambda and nu are most likely of all runs together
+(empirical Bayes: Gelman et al., Bayesian Data Analysis, 3rd ed. 2013, sections 5.4 and 17.2), kappa is the mean over
+runs.  Where a model reaches the noise lambda is 0, N = n, and this is the likelihood of output errors.
 
 It is a composite likelihood, whose parts share data; its curvature H and the scatter J of its slope over stretches of
 time say by how much it counts too much, and it is divided by the temperature
@@ -37,12 +38,14 @@ from scipy import signal, special
 
 from station.estimation.dataset import Dataset
 
-FREEDOMS = np.array([2.0, 8.0, 32.0, np.inf])
+FREEDOMS = np.array([2.0, 8.0, 32.0, 1e9])
 """Degrees of freedom nu that are tried: from runs that have nothing in common to errors in strict proportion."""
 SHARES = np.concatenate([[-80.0], np.linspace(math.log(1e-10), math.log(1e4), 65)])
 """Logarithms of lambda from which the most likely one is sought; the first is none."""
 STEPS = 5
 """Newton steps to it."""
+NEAR = 0.25
+"""Longest of these: half of what lies between two of the starts."""
 NUISANCES = (0.35, 0.5)
 """Prior sigmas of a run's starting angle and accelerometer offset, counts: rounding's, and drift between tests."""
 LEAST_DIFFERENCE = 1e-6
@@ -65,52 +68,22 @@ class Weighing:
     a constant (counts of command)."""
 
 
-@dataclass(frozen=True, eq=False)
-class Sizes:
-    """What the errors of b blocks are expected to be."""
-
-    share: np.ndarray
-    """(b) lambda."""
-    freedom: np.ndarray
-    """(b) nu."""
-    power: np.ndarray
-    """(runs, b) p."""
-
-    @property
-    def expected(self) -> np.ndarray:
-        """(runs, b) v."""
-        return 1.0 + self.share * self.power
+def rho(ratio: np.ndarray) -> np.ndarray:
+    """The cost of a mean square in units of the noise's."""
+    return np.where(ratio <= 1.0, ratio, 1.0 + np.log(np.maximum(ratio, 1.0)))
 
 
-def _terms(ratio: np.ndarray, independent: np.ndarray, expected: np.ndarray, freedom: np.ndarray) -> np.ndarray:
-    """-2 ln L of blocks from S/n, N, v and nu, all of one shape; 0 for errors of the noise's size, N = n."""
-    with np.errstate(invalid="ignore"):
-        student = ((independent + freedom) * np.log1p(independent * ratio / (freedom * expected))
-                   - 2.0 * _normalisation(independent, freedom))
-    return np.where(np.isinf(freedom), independent * ratio / expected, student) + independent * np.log(expected)
+def cost(squares: np.ndarray, counts: np.ndarray, independent: np.ndarray) -> float:
+    """-2 ln L of blocks; infinite where a model has run away."""
+    if not np.all(np.isfinite(squares)):
+        return np.inf
+    return float(np.sum(independent * rho(squares / counts)))
 
 
-def _normalisation(independent: np.ndarray, freedom: np.ndarray) -> np.ndarray:
-    nu = np.where(np.isinf(freedom), 1.0, freedom)
-    return (special.gammaln(0.5 * (independent + nu)) - special.gammaln(0.5 * nu) - 0.5 * independent * np.log(0.5 * nu))
-
-
-def _slopes(ratio: np.ndarray, independent: np.ndarray, expected: np.ndarray, freedom: np.ndarray,
-            ) -> tuple[np.ndarray, np.ndarray]:
-    """First and second derivatives of the terms by v."""
-    size = ratio / expected
-    with np.errstate(invalid="ignore"):
-        weight = np.where(np.isinf(freedom), 1.0, (independent + freedom) / (freedom + independent * size))
-        further = np.where(np.isinf(freedom), 0.0, weight * independent * size / (freedom + independent * size))
-    first = independent * (1.0 - weight * size) / expected
-    return first, independent * (2.0 * weight * size - further * size - 1.0) / expected**2
-
-
-def sizes(squares: np.ndarray, counts: np.ndarray, independent: np.ndarray, power: np.ndarray) -> Sizes:
-    """The most likely lambda and nu of every block, from S, n, N and p (runs, b)."""
-    ratio = squares / counts
-    freedom = FREEDOMS[:, None, None, None]
-    found = _terms(ratio, independent, 1.0 + np.exp(SHARES)[:, None, None] * power, freedom).sum(axis=2)
+def expected(ratio: np.ndarray, independent: np.ndarray, power: np.ndarray) -> np.ndarray:
+    """(runs, b) v, the mean square that a block is expected to have, from S/n, N and p (runs, b)."""
+    shares = 1.0 + np.exp(SHARES)[:, None, None] * power
+    found = np.stack([_surprise(ratio, independent, shares, nu).sum(axis=1) for nu in FREEDOMS])
     at = np.argmin(found.reshape(-1, found.shape[2]), axis=0)
     nu, log_share = FREEDOMS[at // SHARES.size], SHARES[at % SHARES.size]
     for _ in range(STEPS):
@@ -118,26 +91,24 @@ def sizes(squares: np.ndarray, counts: np.ndarray, independent: np.ndarray, powe
         first, second = _slopes(ratio, independent, 1.0 + excess, nu)
         slope, curvature = (first * excess).sum(axis=0), (second * excess**2 + first * excess).sum(axis=0)
         step = np.where(curvature > 0.0, -slope / np.where(curvature > 0.0, curvature, 1.0), 0.0)
-        log_share = np.where(log_share == SHARES[0], log_share, log_share + np.clip(step, -0.25, 0.25))
-    return Sizes(np.exp(log_share), nu, power)
+        log_share = np.where(log_share == SHARES[0], log_share, log_share + np.clip(step, -NEAR, NEAR))
+    return 1.0 + np.exp(log_share) * power
 
 
-def costs(squares: np.ndarray, counts: np.ndarray, independent: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """(runs, b) -2 ln L of blocks; infinite where a model has run away."""
-    if not np.all(np.isfinite(squares)):
-        return np.full(squares.shape, np.inf)
-    found = sizes(squares, counts, independent, power)
-    return _terms(squares / counts, independent, found.expected, found.freedom)
+def _surprise(ratio: np.ndarray, independent: np.ndarray, scale: np.ndarray, nu: float) -> np.ndarray:
+    """-2 ln of the density of N errors of mean square S/n about v, their own size drawn with nu degrees of freedom."""
+    return ((independent + nu) * np.log1p(independent * ratio / (nu * scale)) + independent * np.log(scale)
+            - 2.0 * (special.gammaln(0.5 * (independent + nu)) - special.gammaln(0.5 * nu)
+                     - 0.5 * independent * np.log(0.5 * nu)))
 
 
-def weights(squares: np.ndarray, counts: np.ndarray, independent: np.ndarray, power: np.ndarray) -> np.ndarray:
-    """(runs, b) derivatives of the cost by the squares, lambda and nu at their most likely (envelope theorem)."""
-    found = sizes(squares, counts, independent, power)
-    expected, ratio = found.expected, squares / counts
-    with np.errstate(invalid="ignore"):
-        own = np.where(np.isinf(found.freedom), 1.0 / expected,
-                       (independent + found.freedom) / (found.freedom * expected + independent * ratio))
-    return independent / counts * own
+def _slopes(ratio: np.ndarray, independent: np.ndarray, scale: np.ndarray, nu: np.ndarray,
+            ) -> tuple[np.ndarray, np.ndarray]:
+    """First and second derivatives of that by v."""
+    size = ratio / scale
+    weight = (independent + nu) / (nu + independent * size) * size
+    further = weight * independent * size / (nu + independent * size)
+    return independent * (1.0 - weight) / scale, independent * (2.0 * weight - further - 1.0) / scale**2
 
 
 def correlation(errors: np.ndarray) -> float:
@@ -158,9 +129,9 @@ def blocks_independent(squares: np.ndarray, counts: np.ndarray, power: np.ndarra
     each = np.array([[correlation(row) for row in e] for e in residuals])
     independent = counts / each
     for _ in range(ROUNDS):
-        missed = (1.0 - 1.0 / sizes(squares, counts, independent, power).expected) ** 2
+        missed = (1.0 - 1.0 / expected(squares / counts, independent, power)) ** 2
         kappa = np.sum(counts * missed * (each - 1.0), axis=0) / np.maximum(np.sum(counts * missed**2, axis=0), 1e-300)
-        independent = np.maximum(counts / (1.0 + kappa * missed), np.minimum(counts, 1.0))
+        independent = np.maximum(counts / np.maximum(1.0 + kappa * missed, each), np.minimum(counts, 1.0))
     return independent
 
 

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from station.estimation.likelihood import cost, independent_errors, rho, temperature
+from station.estimation.likelihood import blocks_independent, correlation, cost, expected, rho, temperature
 
 ROWS = 20_000
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_white_errors_are_all_independent(seed: int) -> None:
+def test_white_errors_remember_nothing(seed: int) -> None:
+    """The estimate scatters by the root of the number of frequencies."""
     errors = np.random.default_rng(seed).standard_normal(ROWS)
-    assert independent_errors(errors, ROWS) == pytest.approx(ROWS, rel=0.02)
-    assert independent_errors(errors, 700.0) == pytest.approx(700.0, rel=0.02)
+    assert correlation(errors) == pytest.approx(1.0, abs=3.0 / math.sqrt(ROWS / 2))
 
 
 @pytest.mark.parametrize("a", [0.3, 0.6, 0.8, 0.9, -0.6])
@@ -26,20 +26,57 @@ def test_errors_that_remember_count_as_bayley_and_hammersley_say(a: float) -> No
     found = []
     for seed in range(8):
         white = np.random.default_rng(seed).standard_normal(ROWS + 1000)
-        found.append(independent_errors(signal.lfilter([1.0], [1.0, -a], white)[1000:], ROWS))
-    assert np.mean(found) == pytest.approx(ROWS * (1.0 - a * a) / (1.0 + a * a), rel=0.08)
+        found.append(1.0 / correlation(signal.lfilter([1.0], [1.0, -a], white)[1000:]))
+    assert np.mean(found) == pytest.approx((1.0 - a * a) / (1.0 + a * a), rel=0.08)
+
+
+def test_errors_of_one_slow_swing_hold_a_few_independent_ones() -> None:
+    """A smoothed spectrum would count twenty and more."""
+    time = np.linspace(0.0, 1.0, 1500)
+    assert 1500 / correlation(np.sin(np.pi * time) * time) < 8.0
 
 
 def test_errors_are_never_more_independent_than_they_are_many() -> None:
-    for seed in range(20):
-        errors = np.random.default_rng(seed).standard_normal(500)
-        assert independent_errors(errors, 500.0) <= 500.0
-    assert independent_errors(np.zeros(500), 500.0) == 500.0
+    assert all(correlation(np.random.default_rng(seed).standard_normal(500)) >= 1.0 for seed in range(20))
+    assert correlation(np.zeros(500)) == 1.0
 
 
 def test_the_scale_of_errors_does_not_change_how_many_are_independent() -> None:
     errors = np.cumsum(np.random.default_rng(0).standard_normal(4000))
-    assert independent_errors(1e-3 * errors, 4000.0) == pytest.approx(independent_errors(errors, 4000.0), rel=1e-9)
+    assert correlation(1e-3 * errors) == pytest.approx(correlation(errors), rel=1e-9)
+
+
+def blocks(slow: list[float], power: list[float], seed: int = 0) -> tuple[np.ndarray, ...]:
+    """S, n, p (runs, 1) and errors of runs: white noise of variance 1, and slow errors of given sizes."""
+    rng = np.random.default_rng(seed)
+    residuals = [(rng.standard_normal(1500) + size * signal.lfilter([0.02], [1.0, -0.999], rng.standard_normal(1500))
+                  / 0.447)[None] for size in slow]
+    squares = np.array([[float(np.sum(e**2))] for e in residuals])
+    return squares, np.full_like(squares, 1500.0), np.array(power)[:, None], residuals
+
+
+@pytest.mark.parametrize("share", [1e-4, 1e-3, 1e-2])
+def test_the_share_of_what_runs_show_that_a_model_misses_is_found(share: float) -> None:
+    power = np.array([[1e3], [1e4], [3e4], [1e5], [1e5]])
+    v = 1.0 + share * power
+    ratio = v * np.random.default_rng(1).chisquare(400.0, v.shape) / 400.0
+    np.testing.assert_allclose(expected(ratio, np.full_like(v, 400.0), power), v, rtol=0.1)
+
+
+def test_where_all_runs_reach_the_noise_nothing_is_missed_and_all_errors_count() -> None:
+    squares, counts, power, residuals = blocks([0.0] * 4, [1e3, 1e4, 1e5, 1e5])
+    np.testing.assert_allclose(expected(squares / counts, counts, power), 1.0, atol=0.1)
+    found = blocks_independent(squares, counts, power, residuals)
+    assert np.all(found <= counts) and np.all(found > 0.85 * counts)
+
+
+def test_a_run_that_a_model_happens_to_meet_holds_no_more_than_the_others_say() -> None:
+    """Four runs are missed slowly by as much of what they show; the fifth shows as much, but only noise is left."""
+    squares, counts, power, residuals = blocks([3.0, 3.0, 3.0, 3.0, 0.0], [1e4] * 5)
+    found = blocks_independent(squares, counts, power, residuals)
+    assert found[-1, 0] < 0.1 * counts[-1, 0]
+    still = blocks_independent(squares, counts, np.array([[1e4]] * 4 + [[1.0]]), residuals)
+    assert still[-1, 0] > 0.85 * counts[-1, 0]  # the same of one that hardly shows anything is no surprise
 
 
 def test_the_cost_of_a_mean_square_is_the_noises_up_to_it_and_a_logarithm_beyond() -> None:
