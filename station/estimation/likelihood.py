@@ -17,8 +17,8 @@ say.  With p the mean square of what a channel shows in run r, in units of the n
     v_r = 1 + lambda p_r:   S/(n v_r) ~ F(N, nu),   n/N_r >= 1 + kappa (1 - 1/v_r)^2,
 
 noise beside errors of which r^2 sums to kappa beyond lag 0; lambda and nu are most likely of all runs together
-(empirical Bayes: Gelman et al., Bayesian Data Analysis, 3rd ed. 2013, sections 5.4 and 17.2), kappa is the mean over
-runs.  Where a model reaches the noise lambda is 0, N = n, and this is the likelihood of output errors.
+(empirical Bayes: Gelman et al., Bayesian Data Analysis, 3rd ed. 2013, sections 5.4 and 17.2), kappa is the runs' median:
+of a mean the longest run would be the most.  Where a model reaches the noise lambda is 0, N = n, and this is the likelihood of output errors.
 
 It is a composite likelihood, whose parts share data; its curvature H and the scatter J of its slope over stretches of
 time say by how much it counts too much, and it is divided by the temperature
@@ -84,7 +84,7 @@ def expected(ratio: np.ndarray, independent: np.ndarray, power: np.ndarray) -> n
     """(runs, b) v, the mean square that a block is expected to have, from S/n, N and p (runs, b)."""
     shares = 1.0 + np.exp(SHARES)[:, None, None] * power
     found = np.stack([_surprise(ratio, independent, shares, nu).sum(axis=1) for nu in FREEDOMS])
-    at = np.argmin(found.reshape(-1, found.shape[2]), axis=0)
+    at = np.argmin(found.reshape(FREEDOMS.size * SHARES.size, -1), axis=0)
     nu, log_share = FREEDOMS[at // SHARES.size], SHARES[at % SHARES.size]
     for _ in range(STEPS):
         excess = np.exp(log_share) * power
@@ -130,9 +130,17 @@ def blocks_independent(squares: np.ndarray, counts: np.ndarray, power: np.ndarra
     independent = counts / each
     for _ in range(ROUNDS):
         missed = (1.0 - 1.0 / expected(squares / counts, independent, power)) ** 2
-        kappa = np.sum(counts * missed * (each - 1.0), axis=0) / np.maximum(np.sum(counts * missed**2, axis=0), 1e-300)
+        kappas = (each - 1.0) / np.maximum(missed, 1e-9)
+        kappa = np.array([_median(*block) for block in zip(kappas.T, missed.T, strict=True)], dtype=float)
         independent = np.maximum(counts / np.maximum(1.0 + kappa * missed, each), np.minimum(counts, 1.0))
     return independent
+
+
+def _median(values: np.ndarray, weights: np.ndarray) -> float:
+    """Of weighed values; 0 where nothing weighs."""
+    order = np.argsort(values)
+    reached = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(reached, 0.5 * reached[-1])]) if reached[-1] > 0.0 else 0.0
 
 
 def temperature(curvature: np.ndarray, scatter: np.ndarray, prior: np.ndarray) -> float:
