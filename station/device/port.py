@@ -70,6 +70,11 @@ class Port:
         connection = getattr(self.serial, "_socket", None)
         return self.serial.fd if connection is None else connection.fileno()
 
+    @property
+    def is_terminal(self) -> bool:
+        """Whether the system treats the line as a terminal: a serial port or a pseudo-terminal."""
+        return self.descriptor is not None and os.isatty(self.descriptor)
+
     def read_waiting(self) -> bytes:
         """What has come, at least one byte; b"" where nothing comes for TIMEOUT."""
         try:

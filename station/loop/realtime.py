@@ -16,6 +16,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass
+from functools import partial
 
 PRIORITY = 50
 """SCHED_FIFO: above ordinary threads, with room above for the kernel's own interrupt threads."""
@@ -46,17 +47,18 @@ Wish = tuple[str, Callable[[ExitStack], None]]
 
 
 @contextmanager
-def undisturbed_thread(wanted: bool, alone: bool = False) -> Iterator[Realtime | None]:
+def undisturbed_thread(wanted: bool, alone: bool = False, terminal: bool = False) -> Iterator[Realtime | None]:
     """The calling thread in real-time mode while the block runs; all is put back at its end.  None: not wanted.
 
-    ``alone``: it answers without the interpreter, and the process's other threads stay as they are.
+    ``alone``: it answers without the interpreter, and the process's other threads stay as they are.  ``terminal``: its
+    line is a serial port or a pseudo-terminal.
     """
     if not wanted:
         yield None
         return
     got, missing = [], []
     with ExitStack() as undo:
-        for name, bring in _wishes(alone):
+        for name, bring in _wishes(alone, terminal):
             try:
                 bring(undo)
                 got.append(name)
@@ -65,7 +67,7 @@ def undisturbed_thread(wanted: bool, alone: bool = False) -> Iterator[Realtime |
         yield Realtime(tuple(got), tuple(missing))
 
 
-def _wishes(alone: bool) -> list[Wish]:
+def _wishes(alone: bool, terminal: bool) -> list[Wish]:
     own: list[Wish]
     if sys.platform == "win32":
         own = [("highest thread priority", _windows_priority), ("one core", _windows_core),
@@ -73,8 +75,8 @@ def _wishes(alone: bool) -> list[Wish]:
     elif sys.platform == "darwin":
         own = [("time-constraint scheduling", _macos_policy)]
     else:
-        own = [("memory locked", _lock_memory), ("one core", _one_core), ("cores kept awake", _stay_awake),
-               ("SCHED_FIFO", _fifo)]
+        own = [("memory locked", _lock_memory), ("one core", _one_core),
+               ("cores kept awake", partial(_stay_awake, terminal)), ("SCHED_FIFO", _fifo)]
         if not alone:
             own.append(("its other threads next (SCHED_FIFO)", _others_too))
     return [("garbage collection frozen", _freeze), *own]
@@ -133,14 +135,16 @@ def _lock_memory(undo: ExitStack) -> None:
     undo.callback(libc.munlockall)
 
 
-def _stay_awake(undo: ExitStack) -> None:
+def _stay_awake(terminal: bool, undo: ExitStack) -> None:
     """While this file is open with 0 in it, the kernel enters no sleep state that takes long to leave.
 
     In a virtual machine idle cores then spin, which uses up their share of the host's, and the host stalls them: 6 ms
-    at a time where this was measured, on a period of 100 ms (``scripts/bench/loop_paced.py``: docs/lab.md).
+    at a time where this was measured, on a period of 100 ms (``scripts/bench/loop_paced.py``: docs/lab.md).  So there a
+    socket goes without.  A terminal's bytes pass through a kernel thread of ordinary priority, which a core that sleeps
+    takes up late: on such a line spinning does more good than harm.
     """
     with open(_CPUINFO, encoding="utf-8") as told:
-        if any(line.startswith("flags") and " hypervisor" in line for line in told):
+        if not terminal and any(line.startswith("flags") and " hypervisor" in line for line in told):
             raise OSError("in a virtual machine idle cores would spin, and its host stall them")
     file = os.open(_DMA_LATENCY, os.O_WRONLY)
     undo.callback(os.close, file)

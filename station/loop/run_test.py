@@ -255,7 +255,7 @@ def _drive(client: Client, setup: Setup, compensator: Compensator, reference: np
     try:
         with watched(session, None if progress is None else lambda row: progress(row, rows)), \
                 nullcontext() if exchange is None else exchange.serving(record, abort), \
-                undisturbed_thread(realtime, exchange is not None) as got:
+                undisturbed_thread(realtime, exchange is not None, client.port.is_terminal) as got:
             result.realtime = got
             session.run()
     except BaseException as error:

@@ -204,3 +204,17 @@ def test_what_came_of_a_frame_before_the_timeout_is_read_at_once():
         other.sendall(b"ab")
         assert port.read_waiting() == b"a"
         assert port.read(1) == b"b"
+
+
+@posix
+def test_a_pseudo_terminal_is_a_terminal_and_a_socket_is_none():
+    ours, theirs = os.openpty()
+    try:
+        with open_port(os.ttyname(theirs)) as port:
+            assert port.is_terminal
+    finally:
+        os.close(ours)
+        os.close(theirs)
+    with socket.create_server(("127.0.0.1", 0)) as server, \
+            open_port(f"socket://127.0.0.1:{server.getsockname()[1]}") as port:
+        assert not port.is_terminal

@@ -51,14 +51,15 @@ def test_what_is_refused_is_told_with_the_systems_words(monkeypatch, tmp_path):
 
 
 @LINUX
-@pytest.mark.parametrize(("flags", "kept"), [("fpu tsc sse2", True), ("fpu tsc hypervisor sse2", False)])
-def test_cores_are_kept_awake_but_in_a_virtual_machine(flags, kept, monkeypatch, tmp_path):
+@pytest.mark.parametrize(("flags", "terminal", "kept"), [
+    ("fpu tsc sse2", False, True), ("fpu tsc hypervisor sse2", False, False), ("fpu tsc hypervisor sse2", True, True)])
+def test_cores_are_kept_awake_but_for_a_socket_in_a_virtual_machine(flags, terminal, kept, monkeypatch, tmp_path):
     latency, told = tmp_path / "latency", tmp_path / "cpuinfo"
     told.write_text(f"processor : 0\nflags : {flags}\nbugs : none\n")
     latency.write_bytes(b"")
     monkeypatch.setattr(realtime, "_CPUINFO", str(told))
     monkeypatch.setattr(realtime, "_DMA_LATENCY", str(latency))
-    with undisturbed_thread(True) as found:
+    with undisturbed_thread(True, terminal=terminal) as found:
         assert latency.read_bytes() == (bytes(4) if kept else b"")
         assert ("cores kept awake" in found.got) == kept
         assert any("cores would spin" in words for words in found.missing) != kept
