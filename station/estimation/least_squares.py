@@ -8,6 +8,8 @@ and computed afresh where that does not lead on.
 
 from __future__ import annotations
 
+import os
+
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -55,6 +57,9 @@ class Information:
     """(s, b, p + c, p + c) J'J."""
     gradient: np.ndarray
     """(s, b, p + c) J'e."""
+
+
+TEMPERED = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -432,23 +437,40 @@ def inherited(parent: Fit, space: Parameters) -> list[np.ndarray]:
 def weighing_of(predictor: Predictor, found: Fit) -> Weighing:
     """What the blocks count for where a fit's errors are taken for what a model of this rig leaves."""
     independent = predictor.independent(found.squares, found.residuals)
-    cold = Weighing(independent, 1.0, found.weighing.differ)
-    curvature, _ = found.normal(cold)
-    slopes = _stretch_slopes(found, cold)
-    warm = replace(cold, temperature=temperature(curvature, slopes.T @ slopes, found.space.precision))
+    prior, kinds = found.space.precision, np.ones(independent.shape[1])
+    for _ in range(TEMPERED):
+        cold = Weighing(independent / kinds, 1.0, found.weighing.differ)
+        curvatures, slopes = _projected(found, cold)
+        total = slopes.sum(axis=1)
+        overall = temperature(curvatures.sum(axis=0), total.T @ total, prior)
+        spread = np.linalg.inv(curvatures.sum(axis=0) / overall + np.diag(prior))
+        own = np.einsum("ij,sbi,sbj->b", spread, slopes, slopes) / np.maximum(
+            np.einsum("ij,bij->b", spread, curvatures), 1e-300)
+        kinds = np.maximum(kinds * own, 1.0)
+    cold = Weighing(independent / kinds, 1.0, found.weighing.differ)
+    curvatures, slopes = _projected(found, cold)
+    total = slopes.sum(axis=1)
+    if os.environ.get("SHOW"):
+        print("N", independent.round(1).tolist(), "kinds", kinds.round(2), "own", own.round(2), "overall",
+              round(temperature(curvatures.sum(axis=0), total.T @ total, prior), 2), flush=True)
+    warm = replace(cold, temperature=temperature(curvatures.sum(axis=0), total.T @ total, prior))
     return replace(warm, differ=found.most_likely_differ(warm))
 
 
-def _stretch_slopes(found: Fit, weighing: Weighing) -> np.ndarray:
-    """(s, p) slope of the likelihood in every stretch, nuisances eliminated run by run."""
+def _projected(found: Fit, weighing: Weighing) -> tuple[np.ndarray, np.ndarray]:
+    """Curvatures (b, p, p) of every kind of block and its slopes (s, b, p) in every stretch, nuisances eliminated run
+    by run."""
     info, p = found.information, found.space.size
     w = found.blocks(weighing)[found.owner]
-    matrices = np.einsum("sb,sbij->sij", w, info.normal)
-    slopes = np.einsum("sb,sbi->si", w, info.gradient)
-    out = np.zeros((len(slopes), p))
+    out = np.zeros((len(w), w.shape[1], p))
+    curvatures = np.zeros((w.shape[1], p, p))
     for r in range(len(found.squares)):
         own = found.owner == r
-        m = matrices[own].sum(axis=0)
-        take = np.linalg.solve(m[p:, p:] + np.diag(found.own_precision(weighing.differ)), m[p:, :p])
-        out[own] = slopes[own][:, :p] - slopes[own][:, p:] @ take
-    return out
+        m = np.einsum("sb,sbij->bij", w[own], info.normal[own])
+        g = np.einsum("sb,sbi->sbi", w[own], info.gradient[own])
+        whole = m.sum(axis=0)
+        take = np.linalg.solve(whole[p:, p:] + np.diag(found.own_precision(weighing.differ)), whole[p:, :p])
+        out[own] = g[:, :, :p] - g[:, :, p:] @ take
+        keep = np.vstack([np.eye(p), -take])
+        curvatures += keep.T @ m @ keep
+    return curvatures, out
