@@ -265,10 +265,23 @@ class Rig(_Table):
         """
         if self.beam is None or self.beam.mesh == "as_stated":
             return self
+        return self.with_elements(min(math.ceil(self._wanted_elements(self.beam)), MAX_ELEMENTS))
+
+    def remeshed(self) -> Rig:
+        """A copy with its elements doubled as often as its constants have left those that the mesh was made for.
+
+        For fits: within a factor of four of a beam's rigidity the mesh stays as it is, so that their steps do not
+        change it.
+        """
+        if self.beam is None or self.beam.mesh == "as_stated":
+            return self
+        doublings = round(math.log2(self._wanted_elements(self.beam) / self.beam.elements))
+        return self if doublings <= 0 else self.with_elements(min(self.beam.elements << doublings, MAX_ELEMENTS))
+
+    def _wanted_elements(self, beam: Beam) -> float:
         frequency = 0.25 * 2.0 * math.pi * self.sample_rate
-        wave_number = (frequency**2 * self.beam.mass_per_length / self.beam.flexural_rigidity) ** 0.25
-        wanted = math.ceil(self.beam.length * wave_number / (1440.0 * MESH_ACCURACY) ** 0.25)
-        return self.with_elements(min(wanted, MAX_ELEMENTS))
+        wave_number = (frequency**2 * beam.mass_per_length / beam.flexural_rigidity) ** 0.25
+        return beam.length * wave_number / (1440.0 * MESH_ACCURACY) ** 0.25
 
     def _copy(self, update: dict[str, Any]) -> Rig:
         copy = self.model_copy(update=update)

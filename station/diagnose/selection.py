@@ -16,19 +16,16 @@ import numpy as np
 
 from station.diagnose.candidates import Candidate, candidates
 from station.diagnose.screening import Screened, screen
+from station.diagnose.starts import begun_far, far_starts, rigid_starts
 from station.diagnose.thresholds import CLOSE, LOG_PRIOR, LOG_PRIOR_PARAMETER, WORTH_A_FIT
 from station.estimation.constants import base_fit, settled
 from station.estimation.least_squares import LOST, Fit, fit, inherited, weighing_of
 from station.estimation.likelihood import Weighing
-from station.estimation.parameters import WIDE, Causes, Hypothesis, Key, Sizes, parameters
+from station.estimation.parameters import Causes, Hypothesis, Key, Sizes, parameters
 from station.estimation.prediction import Predictor
 from station.model.effects import Effect, Stage
 
 QUICK_STEPS, STEPS = 8, 25
-JOINTS = ("drive.stiffness", "clamp.stiffness")
-"""Constants of which a rig's own may be as good as infinite."""
-RIGID = 3.0
-"""Sigmas of a free constant's prior above nominal from which a fit of such a joint begins, too."""
 
 
 @dataclass(frozen=True)
@@ -155,17 +152,21 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], share: tuple[f
             per_key[key] = per_key.get(key, 0) + 1
             starts.append((one,))
     starts += [pair for pair in pairs[: effort.pairs] if pair[0].gain > WORTH_A_FIT]
-    stiff = [c for c in pool if c.constant in JOINTS]
+    far = rigid_starts(pool)
+    if not parent.key:
+        far += far_starts(predictor, pool, effort.finished)
 
     def quick(start: tuple[Screened, ...]) -> Fit | None:
         return begun(predictor, parent, start, search.weighing)
 
     found: dict[Causes, Fit] = {}
-    for candidate, rigid in zip(stiff, predictor.pool.map(lambda c: _stiffened(search, parent, c), stiff), strict=True):
-        progress(f"tried {candidate.hypothesis.label}, rigid", share[0])
-        if rigid is not None:
-            search.keep(rigid)
-            found[rigid.key] = rigid
+    for (candidate, _), one in zip(far, predictor.pool.map(
+            lambda start: begun_far(predictor, parent, *start, search.weighing), far), strict=True):
+        progress(f"tried {candidate.hypothesis.label}, far from nominal", share[0])
+        if one is not None:
+            search.keep(one)
+            if one.key not in found or one.objective < found[one.key].objective:
+                found[one.key] = one
     for k, begun_fit in enumerate(predictor.pool.map(quick, starts)):
         progress(f"tried {' + '.join(s.candidate.hypothesis.label for s in starts[k])}",
                  share[0] + (share[1] - share[0]) * 0.6 * (k + 1) / len(starts))
@@ -191,23 +192,6 @@ def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened], weighing
         return fit(predictor, space, weighing, space.carried(parent.space, parent.x, first), parent.own,
                    jacobian=inherited(parent, space), parallel=False, renewals=0,
                    iterations=QUICK_STEPS, tolerance=0.5).light
-    return None
-
-
-def _stiffened(search: Selection, parent: Fit, candidate: Candidate) -> Fit | None:
-    """A parent's hypothesis with a joint's stiffness free, begun RIGID sigma of a free constant's prior above nominal.
-
-    A joint that hardly yields moves nothing that a fit could feel from where it yields too much.  The other constants
-    begin at nominal: what the parent bent to make up for the joint leads back to it.
-    """
-    space = parameters(search.predictor.data, parent.space.hypothesis + candidate.hypothesis,
-                       parent.space.values(parent.space.mean))
-    x = space.carried(parent.space, parent.x)
-    logs = RIGID * WIDE * np.array([path == candidate.constant for path in space.paths])
-    x[space.parts["constants"]] = np.linalg.solve(space.root, logs)
-    with suppress(*LOST):
-        return fit(search.predictor, space, search.weighing, x, parent.own, parallel=False,
-                   iterations=STEPS, tolerance=0.5).light
     return None
 
 

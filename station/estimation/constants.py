@@ -37,16 +37,25 @@ def descended(predictor: Predictor, space: Parameters, x: np.ndarray) -> Fit:
     for every period lost.  So fits are begun twice: on whole runs, and on longer and longer stretches after each run's
     first command, on which nothing is out of step yet.  ArithmeticError: ``x`` does not simulate.
     """
-    data, first = predictor.data, _unknown(predictor)
-    found = [fit(predictor, space, first, x, tolerance=1.0)]
-    own = data.own
+    found = [fit(predictor, space, unknown(predictor), x, tolerance=1.0)]
     with suppress(*LOST):
-        for seconds in BEGINNINGS:
-            part = replace(predictor, data=beginning(data, seconds))
-            begun = fit(part, space, _unknown(part), x, own, tolerance=1.0, iterations=12)
-            x, own = begun.x, begun.own
-        found.append(fit(predictor, space, first, x, own, tolerance=1.0))
+        found.append(fit(predictor, space, unknown(predictor), *in_step(predictor, space, x), tolerance=1.0))
     return min(found, key=lambda f: f.objective)
+
+
+def in_step(predictor: Predictor, space: Parameters, x: np.ndarray, parallel: bool = True,
+            ) -> tuple[np.ndarray, np.ndarray]:
+    """Parameters (p), and what runs have of their own, fitted from ``x`` to longer and longer stretches after each run's
+    first command.
+
+    ArithmeticError: ``x`` does not simulate.
+    """
+    own = predictor.data.own
+    for seconds in BEGINNINGS if predictor.observers else ():
+        part = predictor.on(beginning(predictor.data, seconds))
+        begun = fit(part, space, unknown(part), x, own, tolerance=1.0, iterations=12, parallel=parallel)
+        x, own = begun.x, begun.own
+    return x, own
 
 
 def searched(predictor: Predictor, space: Parameters, starts: int, seed: int,
@@ -69,7 +78,8 @@ def searched(predictor: Predictor, space: Parameters, starts: int, seed: int,
     return best, sum(end.objective < best.objective + SAME for end in ends)
 
 
-def _unknown(predictor: Predictor) -> Weighing:
+def unknown(predictor: Predictor) -> Weighing:
+    """What blocks count for before anything is known of the errors."""
     return Weighing(BEGIN * predictor.counts, 1.0)
 
 

@@ -168,12 +168,15 @@ def uneven(rig: Rig) -> Rig:
 
 
 def beginning(data: Dataset, seconds: float) -> Dataset:
-    """The same runs of which only so much counts as follows the first command."""
-    shares = []
-    for run, share, warm in zip(data.runs, data.share, data.warm, strict=True):
-        end = max(int(np.argmax(run.command != run.command[0])), warm) + math.ceil(seconds * run.sample_rate)
-        shares.append(np.where(np.arange(share.shape[1]) < end, share, 0.0))
-    return replace(data, share=tuple(shares))
+    """The same runs, of which each ends so long after its first command."""
+    ends = [max(int(np.argmax(run.command != run.command[0])), warm) + math.ceil(seconds * run.sample_rate)
+            for run, warm in zip(data.runs, data.warm, strict=True)]
+
+    def cut(arrays: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
+        return tuple(np.ascontiguousarray(a[..., :end]) for a, end in zip(arrays, ends, strict=True))
+    return replace(data, runs=tuple(run.slice(0, end) for run, end in zip(data.runs, ends, strict=True)),
+                   windows=cut(data.windows), logged=cut(data.logged), measured=cut(data.measured),
+                   share=cut(data.share), segment=cut(data.segment))
 
 
 def _warm_rows(rig: Rig, run: Run, noise: Sequence[float]) -> int:

@@ -21,7 +21,7 @@ from station.estimation.noise import QUANTISATION
 from station.model.assembly import torque_input
 from station.model.compiled import njit
 from station.model.modal import dense
-from station.model.simulate import build
+from station.model.simulate import Model, build
 from station.rig import Rig
 
 HORIZONS = (0.05, 0.5, math.inf)
@@ -40,17 +40,48 @@ class Observer:
 
     horizon: float
     state: np.ndarray
-    """(2 n) on coordinates and speeds, rad, m, rad/s, m/s."""
+    """(2 n) on coordinates and speeds, rad and rad/s, deflections as shares of the beam's length."""
     torque: float
     """On the disturbance, counts of command."""
     decay: float
     """Of the disturbance from one sample to the next."""
+    elements: int
+    """Of the beam's mesh, 0 without one."""
+
+    def modal(self, model: Model) -> np.ndarray:
+        """(2 b) the gains on another rig's modes: of its own length and mesh, the correction as a shape the same."""
+        half = self.state.reshape(2, -1)
+        if model.rig.beam is None:
+            return model.form.inverse @ half.ravel()
+        at = half.shape[1] - 2 * self.elements
+        shape = half[:, at - 1:]
+        if model.rig.beam.elements != self.elements:
+            shape = shape @ _finer(self.elements, model.rig.beam.elements).T
+        found = np.concatenate([half[:, : at - 1], shape], axis=1)
+        found[:, model.assembly.nodes] *= model.rig.beam.length
+        return model.form.inverse @ found.ravel()
 
 
 def observers(rig: Rig, noise: float, horizons: Sequence[float] = HORIZONS) -> tuple[Observer, ...]:
     """One for each horizon (s); ``noise``: standard deviation of the encoder before rounding, counts."""
     linear = rig.with_effects([]).model_copy(update={"uncertainty": {}}).model_dump_json()
     return tuple(_observer(linear, noise**2 + QUANTISATION, horizon) for horizon in horizons)
+
+
+@functools.lru_cache(maxsize=16)
+def _finer(elements: int, wanted: int) -> np.ndarray:
+    """(2 wanted + 1, 2 elements + 1) from [root's slope, deflection and slope of each further node] to those of another
+    mesh, by the elements' own cubic shapes; lengths in units of the beam's."""
+    size, h = 2 * elements + 1, 1.0 / elements
+    ends = np.vstack([np.zeros((1, size)), np.eye(size)])       # the root's deflection is 0
+    found = np.zeros((2 * wanted + 2, size))
+    for k in range(wanted + 1):
+        e = min(k * elements // wanted, elements - 1)
+        s = k * elements / wanted - e
+        w = np.array([1 - 3 * s**2 + 2 * s**3, h * (s - 2 * s**2 + s**3), 3 * s**2 - 2 * s**3, h * (s**3 - s**2)])
+        slope = np.array([6 * s**2 - 6 * s, h * (1 - 4 * s + 3 * s**2), 6 * s - 6 * s**2, h * (3 * s**2 - 2 * s)]) / h
+        found[2 * k], found[2 * k + 1] = w @ ends[2 * e: 2 * e + 4], slope @ ends[2 * e: 2 * e + 4]
+    return found[1:]
 
 
 @njit(cache=True)
@@ -69,8 +100,9 @@ def _observer(linear: str, variance: float, horizon: float) -> Observer:
     """Of a rig as JSON; kept, since a diagnosis asks for the same ones again and again."""
     model = build(Rig.model_validate_json(linear), 0.1, 1e-3)
     rig, form, period = model.rig, model.form, model.rig.period
+    beam, elements = rig.beam, 0 if rig.beam is None else rig.beam.elements
     if math.isinf(horizon):
-        return Observer(horizon, np.zeros(2 * model.assembly.size), 0.0, 0.0)
+        return Observer(horizon, np.zeros(2 * model.assembly.size), 0.0, 0.0, elements)
     size, decay = 2 * form.blocks, math.exp(-period / horizon)
     count = form.inverse @ (rig.motor.gain * torque_input(model.assembly, model.assembly.unit(model.assembly.motor)))
     held = dense(form.integral(period)) @ count
@@ -93,4 +125,7 @@ def _observer(linear: str, variance: float, horizon: float) -> Observer:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if memory(middle) > horizon else (low, middle)
     k = gain(high)
-    return Observer(horizon, form.basis @ k[:size], float(k[size]), decay)
+    state = form.basis @ k[:size]
+    if beam is not None:
+        state[np.concatenate([model.assembly.nodes, model.assembly.size + model.assembly.nodes])] /= beam.length
+    return Observer(horizon, state, float(k[size]), decay, elements)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -100,7 +100,7 @@ def predict(model: Model, observers: Sequence[Observer], measured: np.ndarray, c
     rows, (quick, found) = len(command), warm or (observers[0], 0)
     predicted, disturbance = np.zeros((len(observers), 2, rows)), np.zeros((len(observers), rows))
     used = [*observers, quick]
-    _predict(model.plan, fresh, state, np.array([o.state for o in used]) @ model.form.inverse.T,
+    _predict(model.plan, fresh, state, np.array([o.modal(model) for o in used]),
              np.array([o.torque for o in used]), np.array([o.decay for o in used]), found,
              SPAN / model.rig.angle_per_count, offset, command, more[0] * command + more[1], measured,
              np.ones(rows, dtype=bool) if logged is None else logged, predicted, disturbance,
@@ -131,6 +131,10 @@ class Predictor:
     observers: tuple[Observer, ...]
     pool: Executor
     accuracy: Accuracy = SEARCH
+
+    def on(self, data: Dataset) -> Predictor:
+        """The same on other data of the same runs."""
+        return replace(self, data=data)
 
     @cached_property
     def channel(self) -> np.ndarray:

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from station.errors import WorkError
+from station.estimation.dataset import Dataset
 from station.estimation.likelihood import blocks_independent
 from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor
@@ -91,6 +92,10 @@ class ResponsePredictor(Predictor):
 
     spectra: Sequence[Sequence[Spectrum | None]] = ()
     """Per run and channel."""
+
+    def on(self, data: Dataset) -> Predictor:
+        """Predictions in time alone: responses are those of whole runs."""
+        return Predictor(data, self.observers, self.pool, self.accuracy)
 
     def measured(self, run: int) -> np.ndarray:
         """(b, n) readings, counts, and logarithms of responses."""

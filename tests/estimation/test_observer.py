@@ -28,7 +28,7 @@ def errors_left(rig: Rig, horizon: float, noise: float) -> np.ndarray:
     (observer,) = observers(rig, noise, (horizon,))
     model = build(rig, 0.1, 1e-3)
     wrong, right = (initial_state(model, angle, 0.0) for angle in (1e-3, 0.0))
-    gain, work = model.form.inverse @ observer.state, np.zeros((4, max(model.plan.port_joint.size, 1)))
+    gain, work = observer.modal(model), np.zeros((4, max(model.plan.port_joint.size, 1)))
     begin(model.plan, wrong)
     begin(model.plan, right)
     torque, found = 0.0, []
