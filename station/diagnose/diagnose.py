@@ -35,6 +35,7 @@ from station.diagnose.validation import (
     gain,
     leave_each_out,
     predicted_ahead,
+    relief,
     simulate_runs,
     simulate_unseen,
     unseen_gain,
@@ -96,7 +97,8 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     names = [run.name for run in runs]
     ahead = (predicted_ahead(predictor, nothing, nominal=True), predicted_ahead(predictor, left_out[said.causes]))
     bought = gain(data, names, before, after, ahead)
-    against = contradicted(unseen_gains(search.weighing, left_out[frozenset()], left_out[said.causes]))
+    unseen = left_out[frozenset()], left_out[said.causes]
+    against = contradicted(unseen_gains(search.weighing, *unseen), relief(*unseen))
     left = remainder(predictor, best)
     values, constants = estimates(best, chosen)
     known = standing(data, said.causes, best.space.rig_at(best.x))

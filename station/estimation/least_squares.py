@@ -8,15 +8,13 @@ and computed afresh where that does not lead on.
 
 from __future__ import annotations
 
-import os
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from station.estimation.dataset import SEVERAL, Dataset
-from station.estimation.likelihood import Weighing, cost, differ_precision, nuisance_precision, temperature
+from station.estimation.likelihood import Weighing, cost, differ_precision, nuisance_precision, temperatures
 from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor
 
@@ -57,9 +55,6 @@ class Information:
     """(s, b, p + c, p + c) J'J."""
     gradient: np.ndarray
     """(s, b, p + c) J'e."""
-
-
-TEMPERED = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +100,12 @@ class Fit:
     def logs(self) -> np.ndarray:
         """Logarithms of constants over their nominal values."""
         return self.space.logs(self.x)
+
+    @property
+    def log_constants(self) -> float:
+        """Log density of the constants' logarithms under their prior, up to a number that all hypotheses share."""
+        w = self.x[self.space.parts["constants"]]
+        return -0.5 * float(w @ w) - float(np.linalg.slogdet(self.space.root)[1])
 
     @property
     def light(self) -> Fit:
@@ -436,41 +437,24 @@ def inherited(parent: Fit, space: Parameters) -> list[np.ndarray]:
 
 def weighing_of(predictor: Predictor, found: Fit) -> Weighing:
     """What the blocks count for where a fit's errors are taken for what a model of this rig leaves."""
-    independent = predictor.independent(found.squares, found.residuals)
-    prior, kinds = found.space.precision, np.ones(independent.shape[1])
-    for _ in range(TEMPERED):
-        cold = Weighing(independent / kinds, 1.0, found.weighing.differ)
-        curvatures, slopes = _projected(found, cold)
-        total = slopes.sum(axis=1)
-        overall = temperature(curvatures.sum(axis=0), total.T @ total, prior)
-        spread = np.linalg.inv(curvatures.sum(axis=0) / overall + np.diag(prior))
-        own = np.einsum("ij,sbi,sbj->b", spread, slopes, slopes) / np.maximum(
-            np.einsum("ij,bij->b", spread, curvatures), 1e-300)
-        kinds = np.maximum(kinds * own, 1.0)
-    cold = Weighing(independent / kinds, 1.0, found.weighing.differ)
-    curvatures, slopes = _projected(found, cold)
-    total = slopes.sum(axis=1)
-    if os.environ.get("SHOW"):
-        print("N", independent.round(1).tolist(), "kinds", kinds.round(2), "own", own.round(2), "overall",
-              round(temperature(curvatures.sum(axis=0), total.T @ total, prior), 2), flush=True)
-    warm = replace(cold, temperature=temperature(curvatures.sum(axis=0), total.T @ total, prior))
+    cold = Weighing(predictor.independent(found.squares, found.residuals), 1.0, found.weighing.differ)
+    kinds, whole = temperatures(*_projected(found, cold), found.space.precision)
+    warm = Weighing(cold.independent / kinds, whole, cold.differ)
     return replace(warm, differ=found.most_likely_differ(warm))
 
 
 def _projected(found: Fit, weighing: Weighing) -> tuple[np.ndarray, np.ndarray]:
-    """Curvatures (b, p, p) of every kind of block and its slopes (s, b, p) in every stretch, nuisances eliminated run
-    by run."""
+    """(b, p, p) the likelihood's curvature, of every kind of block, and (s, b, p) its slopes in every stretch, what runs
+    have of their own eliminated."""
     info, p = found.information, found.space.size
     w = found.blocks(weighing)[found.owner]
-    out = np.zeros((len(w), w.shape[1], p))
-    curvatures = np.zeros((w.shape[1], p, p))
+    curvatures, slopes = np.zeros((w.shape[1], p, p)), np.zeros((*w.shape, p))
     for r in range(len(found.squares)):
         own = found.owner == r
-        m = np.einsum("sb,sbij->bij", w[own], info.normal[own])
-        g = np.einsum("sb,sbi->sbi", w[own], info.gradient[own])
-        whole = m.sum(axis=0)
+        matrices, forces = np.einsum("sb,sbij->bij", w[own], info.normal[own]), w[own, :, None] * info.gradient[own]
+        whole = matrices.sum(axis=0)
         take = np.linalg.solve(whole[p:, p:] + np.diag(found.own_precision(weighing.differ)), whole[p:, :p])
-        out[own] = g[:, :, :p] - g[:, :, p:] @ take
-        keep = np.vstack([np.eye(p), -take])
-        curvatures += keep.T @ m @ keep
-    return curvatures, out
+        kept = np.vstack([np.eye(p), -take])
+        curvatures += kept.T @ matrices @ kept
+        slopes[own] = forces @ kept
+    return curvatures, slopes

@@ -143,13 +143,24 @@ def _median(values: np.ndarray, weights: np.ndarray) -> float:
     return float(values[order][np.searchsorted(reached, 0.5 * reached[-1])]) if reached[-1] > 0.0 else 0.0
 
 
-def temperature(curvature: np.ndarray, scatter: np.ndarray, prior: np.ndarray) -> float:
-    """T from H and J (p, p), both of the likelihood without a temperature, and the prior's precision (p)."""
-    found = 1.0
+def temperatures(curvatures: np.ndarray, slopes: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, float]:
+    """(b) T of every kind of block, and T of all, from H of every kind (b, p, p), its slopes in every stretch (s, b, p)
+    and the prior's precision (p)."""
+    kinds, whole = np.ones(len(curvatures)), 1.0
     for _ in range(TEMPERATURES):
-        inverse = np.linalg.inv(curvature / found + np.diag(prior))
-        found = max(float(np.trace(inverse @ scatter) / max(np.trace(inverse @ curvature), 1e-300)), 1.0)
-    return found
+        curvature = np.tensordot(1.0 / kinds, curvatures, 1)
+        spread = np.linalg.inv(curvature / whole + np.diag(prior))
+        kinds = np.maximum(_over(np.einsum("ij,sbi,sbj->b", spread, slopes, slopes),
+                                 np.einsum("ij,bij->b", spread, curvatures)), 1.0)
+        total = np.tensordot(slopes, 1.0 / kinds, (1, 0))
+        curvature = np.tensordot(1.0 / kinds, curvatures, 1)
+        spread = np.linalg.inv(curvature / whole + np.diag(prior))
+        whole = max(float(_over(np.einsum("ij,si,sj->", spread, total, total), np.sum(spread * curvature))), 1.0)
+    return kinds, whole
+
+
+def _over(scatter: np.ndarray, curvature: np.ndarray) -> np.ndarray:
+    return np.asarray(scatter) / np.maximum(curvature, 1e-300)
 
 
 def nuisance_precision(data: Dataset, differ: tuple[float, float]) -> np.ndarray:

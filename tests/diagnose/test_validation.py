@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from station.diagnose import validation as module
-from station.diagnose.validation import contradicted, leave_each_out, unseen_gain, unseen_gains
+from station.diagnose.validation import contradicted, leave_each_out, relief, unseen_gain, unseen_gains
 
 EVEN = SimpleNamespace(independent=np.ones((2, 2)))
 """One independent error in each block of two runs."""
@@ -37,11 +37,17 @@ def test_a_block_counts_for_the_independent_errors_that_it_holds() -> None:
     assert unseen_gain(weighing, unseen_gains(weighing, before, after)) == pytest.approx(1.0 - 2.0**-0.8)
 
 
-@pytest.mark.parametrize(("gains", "wanted"), [
-    ([-3.0, -3.1, -2.9], True), ([-9.0, 4.0, 3.0], True), ([-9.0, 4.0, 6.0], False), ([1.0, 2.0], False)])
-def test_unseen_runs_speak_against_causes_where_they_are_met_worse_on_the_whole(gains: list[float],
+@pytest.mark.parametrize(("gains", "relieved", "wanted"), [
+    ([-3.0, -3.1, -2.9], 0.0, True), ([-9.0, 4.0, 3.0], 0.0, True), ([-9.0, 4.0, 6.0], 0.0, False),
+    ([1.0, 2.0], 0.0, False), ([-0.2, 0.1, 0.0], 12.0, False), ([1.0, 1.0, 0.0], -2.7, True)])
+def test_unseen_runs_speak_against_causes_where_they_are_met_worse_on_the_whole(gains: list[float], relieved: float,
                                                                                 wanted: bool) -> None:
-    assert contradicted(np.array(gains)) is wanted
+    assert contradicted(np.array(gains), relieved) is wanted
+
+
+def test_a_cause_that_leaves_constants_where_the_rig_file_has_them_relieves_a_refit_that_strains_them() -> None:
+    strained, relieved = [SimpleNamespace(log_constants=-14.0)] * 2, [SimpleNamespace(log_constants=-3.0)] * 2
+    assert relief(strained, relieved) == 11.0 and relief(relieved, strained) == -11.0
 
 
 def test_every_run_is_left_out_once_from_where_the_fit_of_all_ended(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from station.estimation.likelihood import blocks_independent, correlation, cost, expected, rho, temperature
+from station.estimation.likelihood import blocks_independent, correlation, cost, expected, rho, temperatures
 
 ROWS = 20_000
 
@@ -94,29 +94,45 @@ def test_the_cost_of_blocks_weighs_each_by_its_independent_errors_and_a_lost_mod
 
 
 def scores(rows: int, copies: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """H and J of y = X b + noise whose likelihood counts every row ``copies`` times; stretches are of one row."""
+    """H (3, 3) and slopes (rows, 3) of y = X b + noise whose likelihood counts every row ``copies`` times; stretches
+    are of one row."""
     rng = np.random.default_rng(seed)
     x = rng.standard_normal((rows, 3))
-    slopes = copies * x * rng.standard_normal(rows)[:, None]
-    return copies * x.T @ x, slopes.T @ slopes
+    return copies * x.T @ x, copies * x * rng.standard_normal(rows)[:, None]
+
+
+def of_kinds(*kinds: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, float]:
+    """Temperatures of blocks of some kinds, with hardly a prior."""
+    return temperatures(np.stack([h for h, _ in kinds]), np.stack([g for _, g in kinds], axis=1), np.full(3, 1e-6))
 
 
 def test_independent_scores_have_the_temperature_one() -> None:
-    assert temperature(*scores(20_000, 1), np.full(3, 1e-6)) == pytest.approx(1.0, abs=0.03)
+    kinds, whole = of_kinds(scores(20_000, 1), scores(20_000, 1, seed=1))
+    assert kinds == pytest.approx(1.0, abs=0.03) and whole == pytest.approx(1.0, abs=0.03)
 
 
 @pytest.mark.parametrize("copies", [2, 5])
-def test_errors_counted_k_times_have_the_temperature_k(copies: int) -> None:
-    curvature, scatter = scores(20_000, copies)
-    assert temperature(curvature, scatter, np.full(3, 1e-6)) == pytest.approx(copies, rel=0.03)
+def test_a_kind_whose_errors_are_counted_k_times_has_the_temperature_k_and_no_other_has(copies: int) -> None:
+    kinds, whole = of_kinds(scores(20_000, copies), scores(20_000, 1, seed=1))
+    assert kinds == pytest.approx([copies, 1.0], rel=0.04)
+    assert whole == pytest.approx(1.0, abs=0.05), "once each kind counts as it should"
+
+
+@pytest.mark.parametrize("copies", [2, 3])
+def test_kinds_that_share_their_errors_are_warm_together(copies: int) -> None:
+    kinds, whole = of_kinds(*[scores(20_000, 1)] * copies)
+    assert kinds == pytest.approx(1.0, abs=0.03)
+    assert whole == pytest.approx(copies, rel=0.03)
 
 
 def test_a_likelihood_that_counts_too_little_is_not_sharpened() -> None:
-    curvature, scatter = scores(20_000, 1)
-    assert temperature(curvature, 0.2 * scatter, np.full(3, 1e-6)) == 1.0
+    curvature, slopes = scores(20_000, 1)
+    kinds, whole = of_kinds((curvature, 0.4 * slopes))
+    assert whole == 1.0 and np.all(kinds == 1.0)
 
 
 def test_directions_that_the_prior_holds_do_not_heat_the_others() -> None:
     """The first is seen and its scores are independent; the second, of which ten copies count, the prior holds."""
-    found = temperature(np.diag([1e4, 1.0]), np.diag([1e4, 100.0]), np.array([1e-6, 1e4]))
-    assert found == pytest.approx(1.0, abs=0.02)
+    slopes = np.random.default_rng(0).standard_normal((20_000, 2)) * np.sqrt([1e4, 100.0]) / math.sqrt(20_000)
+    kinds, whole = temperatures(np.diag([1e4, 1.0])[None], slopes[:, None], np.array([1e-6, 1e4]))
+    assert whole == pytest.approx(1.0, abs=0.03) and kinds == pytest.approx(1.0, abs=0.03)

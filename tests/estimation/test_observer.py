@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from station.estimation.observer import observers
+from station.estimation.observer import _finer, observers
 from station.model.effects import effect_class
 from station.model.simulate import build, initial_state
 from station.model.stepper import advance, begin, sense
@@ -76,3 +76,37 @@ def test_a_noisier_encoder_does_not_change_how_long_an_error_is_remembered() -> 
     for noise in (0.0, 1.0):
         errors = np.abs(errors_left(rig, 0.05, noise))
         assert errors.sum() * rig.period / errors[0] == pytest.approx(0.05, rel=0.02)
+
+
+@pytest.mark.parametrize("elements", [8, 16, 13])
+def test_another_mesh_is_corrected_by_the_same_shape(elements: int) -> None:
+    """What a unit error moves, seen where both meshes have nodes: motor, base, clamp's rotation and tip."""
+    rig = bare("sflr")
+    (observer,) = observers(rig, 0.1, (0.05,))
+    one, other = (build(r, 0.0, 1e-3) for r in (rig, rig.with_elements(elements)))
+    seen = [[m.assembly.motor, m.assembly.base, m.assembly.root, m.assembly.tip] for m in (one, other)]
+    moved = [(m.form.basis @ observer.modal(m))[at] for m, at in zip((one, other), seen, strict=True)]
+    assert moved[1] == pytest.approx(moved[0], rel=1e-6)
+
+
+def test_a_rig_of_another_length_is_corrected_without_bending_it_more() -> None:
+    """Deflections are shares of the length: of a beam half as long the tip is moved half as far."""
+    rig = bare("sflr")
+    (observer,) = observers(rig, 0.1, (0.05,))
+    short = rig.with_constants({"beam.length": 0.5 * rig.constants()["beam.length"]})
+    tips, roots = [], []
+    for model in (build(rig, 0.0, 1e-3), build(short, 0.0, 1e-3)):
+        moved = model.form.basis @ observer.modal(model)
+        tips.append(moved[model.assembly.tip])
+        roots.append(moved[model.assembly.root])
+    assert tips[1] == pytest.approx(0.5 * tips[0], rel=1e-6) and roots[1] == pytest.approx(roots[0], rel=1e-6)
+
+
+@pytest.mark.parametrize(("elements", "wanted"), [(4, 8), (8, 16), (3, 7), (8, 8)])
+def test_a_cubic_deflection_is_carried_to_another_mesh_exactly_where_the_elements_hold_it(elements: int,
+                                                                                        wanted: int) -> None:
+    def nodal(count: int) -> np.ndarray:
+        x = np.arange(count + 1) / count
+        both = np.column_stack([x - 2.0 * x**2 + 0.7 * x**3, 1.0 - 4.0 * x + 2.1 * x**2])
+        return both.ravel()[1:]
+    assert _finer(elements, wanted) @ nodal(elements) == pytest.approx(nodal(wanted), abs=1e-12)

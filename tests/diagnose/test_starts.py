@@ -1,0 +1,65 @@
+"""Constants far from nominal: found from profiles over stretches too short for a beam to fall out of step."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+from station.diagnose.candidates import candidates
+from station.diagnose.diagnose import diagnose
+from station.diagnose.starts import JOINTS, RIGID, far_starts, rigid_starts
+from station.estimation.dataset import dataset
+from station.estimation.observer import observers
+from station.estimation.prediction import Predictor
+from station.rig import Rig
+from station.runs.run import Run
+from tests.truth import SFLR, make_case
+
+
+def runs_of(seed: int, table: str, key: str, factor: float) -> list[Run]:
+    """Of a rig by the independent generator whose file is wrong by a factor in one constant."""
+    true: dict[str, Any] = copy.deepcopy(SFLR)
+    true[table][key] *= factor
+    return list(make_case(seed, nominal=true, count=4).runs)
+
+
+@contextmanager
+def predictions(runs: list[Run]) -> Iterator[Predictor]:
+    data = dataset(Rig.model_validate(SFLR), runs)
+    with ThreadPoolExecutor(2) as pool:
+        yield Predictor(data, observers(data.rig, data.noise[0]), pool)
+
+
+@pytest.mark.parametrize(("table", "key", "factor"), [("beam", "length", 0.2), ("beam", "flexural_rigidity", 0.04),
+                                                      ("base", "inertia", 8.0)])
+def test_the_constant_that_is_far_off_is_begun_where_it_is(table: str, key: str, factor: float) -> None:
+    with predictions(runs_of(8300, table, key, factor)) as predictor:
+        starts = far_starts(predictor, candidates(predictor.data.rig), 4)
+    begun = {candidate.constant: 2.718281828 ** (1.5 * sigmas) for candidate, sigmas in starts}
+    assert 0.5 < begun[f"{table}.{key}"] / factor < 2.0
+    assert len(starts) <= 4
+
+
+def test_where_every_constant_is_about_right_few_are_begun_elsewhere_and_none_at_nominal() -> None:
+    with predictions(runs_of(8301, "base", "inertia", 1.0)) as predictor:
+        starts = far_starts(predictor, candidates(predictor.data.rig), 4)
+    assert all(abs(sigmas) > 0.5 for _, sigmas in starts)
+
+
+def test_joints_are_begun_stiff_on_a_rig_that_has_them() -> None:
+    found = {candidate.constant: sigmas for candidate, sigmas in rigid_starts(candidates(Rig.model_validate(SFLR)))}
+    assert found == dict.fromkeys(JOINTS, RIGID)
+
+
+@pytest.mark.parametrize(("key", "factor"), [("length", 0.2), ("flexural_rigidity", 0.04)])
+def test_a_beam_that_is_quite_another_than_the_rig_file_says_is_named(key: str, factor: float) -> None:
+    """From nominal the way ends in side valleys, where other causes make up for it."""
+    found = diagnose(Rig.model_validate(SFLR), runs_of(8302, "beam", key, factor), effort="quick").diagnosis
+    assert [cause.effect for cause in found.causes] == [f"parameter:beam.{key}"]
+    ratio = found.causes[0].parameters["value"].value / (SFLR["beam"][key] * factor)
+    assert 0.75 < ratio < 1.33
