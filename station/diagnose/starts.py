@@ -14,7 +14,7 @@ from contextlib import suppress
 import numpy as np
 
 from station.diagnose.candidates import Candidate
-from station.estimation.constants import in_step, unknown
+from station.estimation.constants import BEGINNINGS, in_step, unknown
 from station.estimation.dataset import beginning
 from station.estimation.least_squares import LOST, Fit, fit
 from station.estimation.likelihood import Weighing, cost
@@ -25,14 +25,12 @@ JOINTS = ("drive.stiffness", "clamp.stiffness")
 """Constants of which a rig's own may be as good as infinite."""
 RIGID = 3.0
 """Sigmas of a free constant's prior above nominal from which a fit of such a joint begins."""
-PROFILE = np.arange(-9, 10) / 3.0
+AWAY = np.arange(-9, 10) / 3.0
 """Sigmas of that prior from nominal at which the objective is worked out: steps of a factor of 1.6."""
 NEAR = 1
 """Steps of these within which derivatives at nominal find the way."""
-SECONDS = 0.3
-"""Stretch after the first command for that."""
-STEPS = 25
-
+SECONDS = BEGINNINGS[1]
+"""Stretch after the first command for that: a period of a beam's slowest mode."""
 
 Start = tuple[Candidate, float]
 """A constant, and sigmas of a free constant's prior from nominal at which it begins."""
@@ -46,20 +44,24 @@ def rigid_starts(pool: Sequence[Candidate]) -> list[Start]:
 def far_starts(predictor: Predictor, pool: Sequence[Candidate], most: int) -> list[Start]:
     """Of the ``most`` constants that, far from nominal, meet the runs' beginnings best."""
     part = predictor.on(beginning(predictor.data, SECONDS))
-    weighing, at_nominal = unknown(part), len(PROFILE) // 2
+    weighing, at_nominal = unknown(part), len(AWAY) // 2
 
     def profile(candidate: Candidate) -> list[float]:
         space = parameters(part.data, candidate.hypothesis, {})
-        return [_cost(part, space, placed(space, candidate, sigmas), weighing) for sigmas in PROFILE]
+        return [_cost(part, space, _placed(space, candidate, sigmas, space.mean), weighing) for sigmas in AWAY]
 
     constants = [c for c in pool if c.constant is not None]
     found = []
     for candidate, costs in zip(constants, part.pool.map(profile, constants), strict=True):
         best = int(np.argmin(costs))
-        if abs(best - at_nominal) > NEAR:
-            found.append((costs[best], candidate, float(PROFILE[best])))
-    found.sort(key=lambda row: row[0])
-    return [(candidate, sigmas) for _, candidate, sigmas in found[:most]]
+        start = (candidate, float(AWAY[best]))
+        if abs(best - at_nominal) > NEAR and not _is_rigid(*start):
+            found.append((costs[best], start))
+    return [start for _, start in sorted(found, key=lambda row: row[0])[:most]]
+
+
+def _is_rigid(candidate: Candidate, sigmas: float) -> bool:
+    return candidate.constant in JOINTS and sigmas == RIGID
 
 
 def _cost(part: Predictor, space: Parameters, x: np.ndarray, weighing: Weighing) -> float:
@@ -70,9 +72,9 @@ def _cost(part: Predictor, space: Parameters, x: np.ndarray, weighing: Weighing)
     return np.inf
 
 
-def placed(space: Parameters, candidate: Candidate, sigmas: float, x: np.ndarray | None = None) -> np.ndarray:
-    """Parameters with all constants at nominal but the candidate's."""
-    x = space.mean.copy() if x is None else x.copy()
+def _placed(space: Parameters, candidate: Candidate, sigmas: float, x: np.ndarray) -> np.ndarray:
+    """``x`` (p) with all constants at nominal but the candidate's."""
+    x = x.copy()
     logs = sigmas * WIDE * np.array([path == candidate.constant for path in space.paths])
     x[space.parts["constants"]] = np.linalg.solve(space.root, logs)
     return x
@@ -85,8 +87,8 @@ def begun_far(predictor: Predictor, parent: Fit, candidate: Candidate, sigmas: f
     """
     space = parameters(predictor.data, parent.space.hypothesis + candidate.hypothesis,
                        parent.space.values(parent.space.mean))
-    x = placed(space, candidate, sigmas, space.carried(parent.space, parent.x))
+    x = _placed(space, candidate, sigmas, space.carried(parent.space, parent.x))
     with suppress(*LOST):
-        x, own = (x, parent.own) if sigmas == RIGID else in_step(predictor, space, x, parallel=False)
-        return fit(predictor, space, weighing, x, own, parallel=False, iterations=STEPS, tolerance=0.5).light
+        x, own = (x, parent.own) if _is_rigid(candidate, sigmas) else in_step(predictor, space, x, parallel=False)
+        return fit(predictor, space, weighing, x, own, parallel=False, tolerance=0.5).light
     return None

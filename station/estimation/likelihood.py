@@ -18,12 +18,15 @@ say.  With p the mean square of what a channel shows in run r, in units of the n
 
 noise beside errors of which r^2 sums to kappa beyond lag 0; lambda and nu are most likely of all runs together
 (empirical Bayes: Gelman et al., Bayesian Data Analysis, 3rd ed. 2013, sections 5.4 and 17.2), kappa is the runs' median:
-of a mean the longest run would be the most.  Where a model reaches the noise lambda is 0, N = n, and this is the likelihood of output errors.
+of a mean the longest run would be the most.  Where a model reaches the noise lambda is 0, N = n, and this is the
+likelihood of output errors.
 
-It is a composite likelihood, whose parts share data; its curvature H and the scatter J of its slope over stretches of
-time say by how much it counts too much, and it is divided by the temperature
+It is a composite likelihood, whose parts share data.  Curvature H_b and scatter J_b of its slope over stretches of time
+say by how much one kind of block (a channel and a horizon) counts too much,
 
-    T = max(1, tr(A^-1 J)/tr(A^-1 H)),   A = H/T + prior's precision
+    T_b = max(1, tr(A^-1 J_b)/tr(A^-1 H_b)),   A = H/T + prior's precision,
+
+by which its N are divided; those of all kinds together say by how much these count the same twice, T
 
 (Varin, Reid and Firth, Statistica Sinica 21, 2011, section 2; Miller and Dunson, J. Am. Stat. Assoc. 114, 2019).
 """
@@ -61,7 +64,7 @@ class Weighing:
     """What the blocks count for: the same for all hypotheses that are compared."""
 
     independent: np.ndarray
-    """(runs, b) N."""
+    """(runs, b) N, divided by the temperature of its kind of block."""
     temperature: float
     differ: tuple[float, float] = (0.0, 0.0)
     """Standard deviations, from run to run, of what the motor does more than the rig says: a share of the command, and
