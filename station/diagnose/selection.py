@@ -16,7 +16,7 @@ import numpy as np
 
 from station.diagnose.candidates import Candidate, candidates
 from station.diagnose.screening import Screened, screen
-from station.diagnose.starts import begun_far, far_starts, rigid_starts
+from station.diagnose.starts import far_starts, rigid_starts
 from station.diagnose.thresholds import CLOSE, LOG_PRIOR, LOG_PRIOR_PARAMETER, WORTH_A_FIT
 from station.estimation.constants import base_fit, settled
 from station.estimation.least_squares import LOST, Fit, fit, inherited, weighing_of
@@ -152,7 +152,7 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], share: tuple[f
             per_key[key] = per_key.get(key, 0) + 1
             starts.append((one,))
     starts += [pair for pair in pairs[: effort.pairs] if pair[0].gain > WORTH_A_FIT]
-    far = rigid_starts(pool)
+    far = rigid_starts(predictor, parent, pool)
     if not parent.key:
         far += far_starts(predictor, pool, effort.finished)
 
@@ -160,9 +160,9 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], share: tuple[f
         return begun(predictor, parent, start, search.weighing)
 
     found: dict[Causes, Fit] = {}
-    for (candidate, _), one in zip(far, predictor.pool.map(
-            lambda start: begun_far(predictor, parent, *start, search.weighing), far), strict=True):
-        progress(f"tried {candidate.hypothesis.label}, far from nominal", share[0])
+    for start, one in zip(far, predictor.pool.map(lambda start: start.fitted(predictor, search.weighing), far),
+                          strict=True):
+        progress(f"tried {start.candidate.hypothesis.label}, far from nominal", share[0])
         if one is not None:
             search.keep(one)
             if one.key not in found or one.objective < found[one.key].objective:

@@ -10,15 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 
 import numpy as np
 
 from station.diagnose.candidates import Candidate
+from station.diagnose.thresholds import WORTH_A_FIT
 from station.estimation.constants import BEGINNINGS, in_step, unknown
 from station.estimation.dataset import beginning
 from station.estimation.least_squares import LOST, Fit, fit
 from station.estimation.likelihood import Weighing, cost
-from station.estimation.parameters import WIDE, Parameters, parameters
+from station.estimation.parameters import WIDE, Hypothesis, Parameters, parameters
 from station.estimation.prediction import Predictor
 
 JOINTS = ("drive.stiffness", "clamp.stiffness")
@@ -27,41 +29,76 @@ RIGID = 3.0
 """Sigmas of a free constant's prior above nominal from which a fit of such a joint begins."""
 AWAY = np.arange(-9, 10) / 3.0
 """Sigmas of that prior from nominal at which the objective is worked out: steps of a factor of 1.6."""
-NEAR = 1
-"""Steps of these within which derivatives at nominal find the way."""
+NEAR = 0.5
+"""Sigmas within which derivatives at nominal find the way."""
 SECONDS = BEGINNINGS[1]
 """Stretch after the first command for that: a period of a beam's slowest mode."""
 
-Start = tuple[Candidate, float]
-"""A constant, and sigmas of a free constant's prior from nominal at which it begins."""
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Where a fit that sets one constant more free begins."""
+
+    candidate: Candidate
+    space: Parameters
+    x: np.ndarray
+    own: np.ndarray
+    """(runs, 4) what each run has of its own (``Dataset.own``)."""
+
+    def fitted(self, predictor: Predictor, weighing: Weighing) -> Fit | None:
+        """To whole runs, without derivatives; None where that does not simulate.  From one of the pool's threads."""
+        with suppress(*LOST):
+            return fit(predictor, self.space, weighing, self.x, self.own, parallel=False, tolerance=0.5).light
+        return None
 
 
-def rigid_starts(pool: Sequence[Candidate]) -> list[Start]:
-    """Joints as good as rigid."""
-    return [(c, RIGID) for c in pool if c.constant in JOINTS]
+def rigid_starts(predictor: Predictor, parent: Fit, pool: Sequence[Candidate]) -> list[Start]:
+    """A parent's hypothesis with a joint as good as rigid.
+
+    The other constants begin at nominal: what the parent bent to make up for the joint leads back to it.
+    """
+    found = []
+    for candidate in pool:
+        if candidate.constant in JOINTS:
+            space = parameters(predictor.data, parent.space.hypothesis + candidate.hypothesis,
+                               parent.space.values(parent.space.mean))
+            x = _placed(space, candidate, RIGID, space.carried(parent.space, parent.x))
+            found.append(Start(candidate, space, x, parent.own))
+    return found
 
 
 def far_starts(predictor: Predictor, pool: Sequence[Candidate], most: int) -> list[Start]:
-    """Of the ``most`` constants that, far from nominal, meet the runs' beginnings best."""
-    part = predictor.on(beginning(predictor.data, SECONDS))
-    weighing, at_nominal = unknown(part), len(AWAY) // 2
-
-    def profile(candidate: Candidate) -> list[float]:
-        space = parameters(part.data, candidate.hypothesis, {})
-        return [_cost(part, space, _placed(space, candidate, sigmas, space.mean), weighing) for sigmas in AWAY]
-
+    """The rig alone with one constant far from nominal, where that meets the runs' beginnings better than the rig alone
+    can: ``most`` are tried, those that meet them best before anything is fitted."""
     constants = [c for c in pool if c.constant is not None]
-    found = []
-    for candidate, costs in zip(constants, part.pool.map(profile, constants), strict=True):
-        best = int(np.argmin(costs))
-        start = (candidate, float(AWAY[best]))
-        if abs(best - at_nominal) > NEAR and not _is_rigid(*start):
-            found.append((costs[best], start))
-    return [start for _, start in sorted(found, key=lambda row: row[0])[:most]]
+    rows = sorted(((cost_there, k, sigmas) for k, (cost_there, sigmas) in enumerate(_profiles(predictor, constants))
+                   if abs(sigmas) > NEAR), key=lambda row: row[0])[:most]
+    if not rows:
+        return []
+
+    def begun(row: tuple[float, int, float]) -> tuple[Start, float] | None:
+        candidate = constants[row[1]]
+        space = parameters(predictor.data, candidate.hypothesis, {})
+        with suppress(*LOST):
+            found = in_step(predictor, space, _placed(space, candidate, row[2], space.mean), parallel=False)
+            return Start(candidate, space, found.x, found.own), found.objective
+        return None
+
+    alone = parameters(predictor.data, Hypothesis(), {})
+    limit = in_step(predictor, alone, alone.mean).objective - WORTH_A_FIT
+    return [one[0] for one in predictor.pool.map(begun, rows) if one is not None and one[1] < limit]
 
 
-def _is_rigid(candidate: Candidate, sigmas: float) -> bool:
-    return candidate.constant in JOINTS and sigmas == RIGID
+def _profiles(predictor: Predictor, constants: Sequence[Candidate]) -> list[tuple[float, float]]:
+    """Of each constant the least objective along it, and how many sigmas from nominal it lies."""
+    part = predictor.on(beginning(predictor.data, SECONDS))
+    weighing = unknown(part)
+
+    def profile(candidate: Candidate) -> tuple[float, float]:
+        space = parameters(part.data, candidate.hypothesis, {})
+        return min(((_cost(part, space, _placed(space, candidate, sigmas, space.mean), weighing), sigmas)
+                    for sigmas in AWAY.tolist()), key=lambda row: row[0])
+    return list(part.pool.map(profile, constants))
 
 
 def _cost(part: Predictor, space: Parameters, x: np.ndarray, weighing: Weighing) -> float:
@@ -78,17 +115,3 @@ def _placed(space: Parameters, candidate: Candidate, sigmas: float, x: np.ndarra
     logs = sigmas * WIDE * np.array([path == candidate.constant for path in space.paths])
     x[space.parts["constants"]] = np.linalg.solve(space.root, logs)
     return x
-
-
-def begun_far(predictor: Predictor, parent: Fit, candidate: Candidate, sigmas: float, weighing: Weighing) -> Fit | None:
-    """A parent's hypothesis with a constant free, begun so far from nominal; None where that does not simulate.
-
-    The other constants begin at nominal: what the parent bent to make up for the one leads back to it.
-    """
-    space = parameters(predictor.data, parent.space.hypothesis + candidate.hypothesis,
-                       parent.space.values(parent.space.mean))
-    x = _placed(space, candidate, sigmas, space.carried(parent.space, parent.x))
-    with suppress(*LOST):
-        x, own = (x, parent.own) if _is_rigid(candidate, sigmas) else in_step(predictor, space, x, parallel=False)
-        return fit(predictor, space, weighing, x, own, parallel=False, tolerance=0.5).light
-    return None

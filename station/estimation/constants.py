@@ -38,24 +38,24 @@ def descended(predictor: Predictor, space: Parameters, x: np.ndarray) -> Fit:
     first command, on which nothing is out of step yet.  ArithmeticError: ``x`` does not simulate.
     """
     found = [fit(predictor, space, unknown(predictor), x, tolerance=1.0)]
-    with suppress(*LOST):
-        found.append(fit(predictor, space, unknown(predictor), *in_step(predictor, space, x), tolerance=1.0))
+    if predictor.observers:
+        with suppress(*LOST):
+            begun = in_step(predictor, space, x)
+            found.append(fit(predictor, space, unknown(predictor), begun.x, begun.own, tolerance=1.0))
     return min(found, key=lambda f: f.objective)
 
 
-def in_step(predictor: Predictor, space: Parameters, x: np.ndarray, parallel: bool = True,
-            ) -> tuple[np.ndarray, np.ndarray]:
-    """Parameters (p), and what runs have of their own, fitted from ``x`` to longer and longer stretches after each run's
-    first command.
+def in_step(predictor: Predictor, space: Parameters, x: np.ndarray, parallel: bool = True) -> Fit:
+    """A fit from ``x`` (p) to longer and longer stretches after each run's first command: to the longest of them.
 
     ArithmeticError: ``x`` does not simulate.
     """
     own = predictor.data.own
-    for seconds in BEGINNINGS if predictor.observers else ():
+    for seconds in BEGINNINGS:
         part = predictor.on(beginning(predictor.data, seconds))
-        begun = fit(part, space, unknown(part), x, own, tolerance=1.0, iterations=12, parallel=parallel)
-        x, own = begun.x, begun.own
-    return x, own
+        found = fit(part, space, unknown(part), x, own, tolerance=1.0, iterations=12, parallel=parallel)
+        x, own = found.x, found.own
+    return found
 
 
 def searched(predictor: Predictor, space: Parameters, starts: int, seed: int,

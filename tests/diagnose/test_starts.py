@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
 import pytest
 
 from station.diagnose.candidates import candidates
 from station.diagnose.diagnose import diagnose
 from station.diagnose.starts import JOINTS, RIGID, far_starts, rigid_starts
+from station.estimation.constants import base_fit
 from station.estimation.dataset import dataset
 from station.estimation.observer import observers
+from station.estimation.parameters import WIDE
 from station.estimation.prediction import Predictor
 from station.rig import Rig
 from station.runs.run import Run
@@ -40,20 +44,26 @@ def predictions(runs: list[Run]) -> Iterator[Predictor]:
 def test_the_constant_that_is_far_off_is_begun_where_it_is(table: str, key: str, factor: float) -> None:
     with predictions(runs_of(8300, table, key, factor)) as predictor:
         starts = far_starts(predictor, candidates(predictor.data.rig), 4)
-    begun = {candidate.constant: 2.718281828 ** (1.5 * sigmas) for candidate, sigmas in starts}
-    assert 0.5 < begun[f"{table}.{key}"] / factor < 2.0
     assert len(starts) <= 4
+    (begun,) = [start for start in starts if start.candidate.constant == f"{table}.{key}"]
+    log = begun.space.logs(begun.x)[begun.space.paths.index(f"{table}.{key}")]
+    assert abs(log - math.log(factor)) < math.log(2.0)
 
 
-def test_where_every_constant_is_about_right_few_are_begun_elsewhere_and_none_at_nominal() -> None:
+def test_where_every_constant_is_about_right_no_fit_begins_elsewhere() -> None:
     with predictions(runs_of(8301, "base", "inertia", 1.0)) as predictor:
-        starts = far_starts(predictor, candidates(predictor.data.rig), 4)
-    assert all(abs(sigmas) > 0.5 for _, sigmas in starts)
+        assert far_starts(predictor, candidates(predictor.data.rig), 4) == []
 
 
-def test_joints_are_begun_stiff_on_a_rig_that_has_them() -> None:
-    found = {candidate.constant: sigmas for candidate, sigmas in rigid_starts(candidates(Rig.model_validate(SFLR)))}
-    assert found == dict.fromkeys(JOINTS, RIGID)
+def test_joints_are_begun_stiff_on_a_rig_that_has_them_the_other_constants_at_nominal() -> None:
+    with predictions(runs_of(8301, "base", "inertia", 1.0)) as predictor:
+        parent = base_fit(predictor)
+        starts = rigid_starts(predictor, parent, candidates(predictor.data.rig))
+    assert [start.candidate.constant for start in starts] == list(JOINTS)
+    for start in starts:
+        logs = dict(zip(start.space.paths, start.space.logs(start.x), strict=True))
+        assert logs.pop(start.candidate.constant) == pytest.approx(RIGID * WIDE)
+        assert np.allclose(list(logs.values()), 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize(("key", "factor"), [("length", 0.2), ("flexural_rigidity", 0.04)])
