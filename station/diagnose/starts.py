@@ -27,8 +27,8 @@ JOINTS = ("drive.stiffness", "clamp.stiffness")
 """Constants of which a rig's own may be as good as infinite."""
 RIGID = 3.0
 """Sigmas of a free constant's prior above nominal from which a fit of such a joint begins."""
-AWAY = np.arange(-9, 10) / 3.0
-"""Sigmas of that prior from nominal at which the objective is worked out: steps of a factor of 1.6."""
+AWAY = np.arange(-6, 7) / 2.0
+"""Sigmas of that prior from nominal at which the objective is worked out: steps of a factor of 2.1."""
 NEAR = 0.5
 """Sigmas within which derivatives at nominal find the way."""
 SECONDS = BEGINNINGS[1]
