@@ -1,9 +1,10 @@
 """Where a fit that sets a constant free begins, when nothing near nominal points to where it must go.
 
 A beam of a fifth of its length shows other modes altogether: the objective has a valley at every one, and derivatives
-at nominal lead into the nearest.  So the objective is worked out along each constant alone, over the whole width of its
-prior, on stretches after the first command that are too short for the beam to fall out of step.  A joint that yields too
-much hides one that does not yield at all, whatever the constant alone would do: it is begun stiff in any case.
+at nominal lead into the nearest.  So the objective is worked out along each constant alone, over the whole width of
+its prior, on stretches after the first command that are too short for the beam to fall out of step.  A joint that
+yields too much hides one that does not yield at all, whatever the constant alone would do: it is begun stiff in any
+case.
 """
 
 from __future__ import annotations

@@ -444,8 +444,8 @@ def weighing_of(predictor: Predictor, found: Fit) -> Weighing:
 
 
 def _projected(found: Fit, weighing: Weighing) -> tuple[np.ndarray, np.ndarray]:
-    """(b, p, p) the likelihood's curvature, of every kind of block, and (s, b, p) its slopes in every stretch, what runs
-    have of their own eliminated."""
+    """(b, p, p) the likelihood's curvature, of every kind of block, and (s, b, p) its slopes in every stretch, what
+    runs have of their own eliminated."""
     info, p = found.information, found.space.size
     w = found.blocks(weighing)[found.owner]
     curvatures, slopes = np.zeros((w.shape[1], p, p)), np.zeros((*w.shape, p))

@@ -17,9 +17,9 @@ say.  With p the mean square of what a channel shows in run r, in units of the n
     v_r = 1 + lambda p_r:   S/(n v_r) ~ F(N, nu),   n/N_r >= 1 + kappa (1 - 1/v_r)^2,
 
 noise beside errors of which r^2 sums to kappa beyond lag 0; lambda and nu are most likely of all runs together
-(empirical Bayes: Gelman et al., Bayesian Data Analysis, 3rd ed. 2013, sections 5.4 and 17.2), kappa is the runs' median:
-of a mean the longest run would be the most.  Where a model reaches the noise lambda is 0, N = n, and this is the
-likelihood of output errors.
+(empirical Bayes: Gelman et al., Bayesian Data Analysis, 3rd ed. 2013, sections 5.4 and 17.2), kappa is the runs'
+median: of a mean the longest run would be the most.  Where a model reaches the noise lambda is 0, N = n, and this is
+the likelihood of output errors.
 
 It is a composite likelihood, whose parts share data.  Curvature H_b and scatter J_b of its slope over stretches of time
 say by how much one kind of block (a channel and a horizon) counts too much,

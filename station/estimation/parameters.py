@@ -163,7 +163,8 @@ class Parameters:
         """The rig that a parameter vector describes."""
         nominal = self.rig.constants()
         logs = np.clip(self.logs(x), -FARTHEST, FARTHEST)
-        rig = self.rig.with_constants({p: nominal[p] * math.exp(v) for p, v in zip(self.paths, logs, strict=True)}).remeshed()
+        moved = {p: nominal[p] * math.exp(v) for p, v in zip(self.paths, logs, strict=True)}
+        rig = self.rig.with_constants(moved).remeshed()
         own = list(self.rig.effects)
         for held, value in zip(self.held, x[self.parts["held"]], strict=True):
             own[held.effect] = own[held.effect].model_copy(
