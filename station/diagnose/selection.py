@@ -175,7 +175,7 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], share: tuple[f
             if begun_fit.key not in found or begun_fit.objective < found[begun_fit.key].objective:
                 found[begun_fit.key] = begun_fit
     ranked = sorted(found.values(), key=lambda f: -search.score(f))[: effort.finished]
-    _refit(search, [search.fits[f.key] for f in ranked], search.weighing,
+    _refit(search, [search.fits[f.key] for f in ranked], search.weighing, False,
            lambda k, label: progress(f"fitted {label}",
                                      share[0] + (share[1] - share[0]) * (0.6 + 0.4 * (k + 1) / len(ranked))))
 
@@ -195,13 +195,14 @@ def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened], weighing
     return None
 
 
-def _refit(search: Selection, fits: Iterable[Fit], weighing: Weighing,
+def _refit(search: Selection, fits: Iterable[Fit], weighing: Weighing, to_the_end: bool,
            told: Callable[[int, str], None] = lambda k, label: None) -> None:
     """Fit sets to the end under a weighing, side by side."""
     def again(found: Fit) -> Fit | None:
         with suppress(*LOST):
             return fit(search.predictor, found.space, weighing, found.x, found.own, parallel=False,
-                       iterations=STEPS, renewals=4, tolerance=0.2).light
+                       iterations=STEPS, renewals=4, tolerance=0.2,
+                       to_the_end=to_the_end).light
         return None
 
     for k, found in enumerate(search.predictor.pool.map(again, list(fits))):
@@ -271,7 +272,7 @@ def _finish(search: Selection) -> None:
         ranked = sorted(search.fits.values(), key=lambda f: -search.score(f))
         close = [f for f in ranked if search.score(f) > search.score(best) - CLOSE][: 2 * search.effort.finished]
         subsets = [f for f in search.fits.values() if f.key < best.key and f not in close]
-        _refit(search, [*close, *subsets], search.weighing)
+        _refit(search, [*close, *subsets], search.weighing, True)
         if search.best().key == best.key:
             break
         search.weigh(search.best())

@@ -30,8 +30,6 @@ RIGID = 3.0
 """Sigmas of a free constant's prior above nominal from which a fit of such a joint begins."""
 AWAY = np.arange(-6, 7) / 2.0
 """Sigmas of that prior from nominal at which the objective is worked out: steps of a factor of 2.1."""
-NEAR = 0.5
-"""Sigmas within which derivatives at nominal find the way."""
 SECONDS = BEGINNINGS[1]
 """Stretch after the first command for that: a period of a beam's slowest mode."""
 
@@ -73,7 +71,7 @@ def far_starts(predictor: Predictor, pool: Sequence[Candidate], most: int) -> li
     can: ``most`` are tried, those that meet them best before anything is fitted."""
     constants = [c for c in pool if c.constant is not None]
     rows = sorted(((cost_there, k, sigmas) for k, (cost_there, sigmas) in enumerate(_profiles(predictor, constants))
-                   if abs(sigmas) > NEAR), key=lambda row: row[0])[:most]
+                   if sigmas != 0.0), key=lambda row: row[0])[:most]
     if not rows:
         return []
 

@@ -118,4 +118,4 @@ def refined(predictor: Predictor, weighing: Weighing, found: Fit) -> Fit:
     """A fit brought to its very end with finer simulations: values are stated from it."""
     finer = replace(predictor, accuracy=FINE)
     return fit(finer, found.space, weighing, found.x, found.own, iterations=12, tolerance=0.02,
-               renewals=4)
+               renewals=4, to_the_end=True)

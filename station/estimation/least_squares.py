@@ -362,8 +362,13 @@ def own_steps(data: Dataset) -> np.ndarray:
 
 def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarray, own: np.ndarray | None = None, *,
         iterations: int = 25, tolerance: float = 0.1, runs: np.ndarray | None = None,
-        jacobian: list[np.ndarray] | None = None, renewals: int = 100, parallel: bool = True) -> Fit:
-    """Minimise the objective from ``x``; ``tolerance`` is the fall of it that ends the fit.
+        jacobian: list[np.ndarray] | None = None, renewals: int = 100, parallel: bool = True,
+        to_the_end: bool = False) -> Fit:
+    """Minimise the objective from ``x``; ``tolerance`` is the fall of it that ends the fit, if no more is promised.
+
+    Promised is what a step without damping would win of the objective's quadratic (the squared Newton decrement: Boyd
+    and Vandenberghe, Convex Optimization, 2004, section 9.5): in a long valley a damped step wins next to
+    nothing wherever it is.
 
     ``runs`` (runs): weights, of which 0 leaves a run out; its nuisances follow all the same.  ``jacobian`` (per run
     (p + c, b, n)) starts the quick way; where it leads no further the derivatives are computed afresh, at most
@@ -392,15 +397,18 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
                 found = trial
                 break
             damping *= 10.0
-        gain, ratio = 0.0, 0.0
+        gain, ratio, used = 0.0, 0.0, damping
         if found is not None:
             step = found.x - here.x
             gain = here.objective - found.objective
             ratio = gain / max(float(2.0 * force @ step - step @ matrix @ step), 1e-300)
-            damping = max(damping / 10.0, LEAST_DAMPING)
+            damping = max(damping / 10.0, LEAST_DAMPING) if gain >= tolerance or not to_the_end else LEAST_DAMPING
             _broyden(jac, here, found, descent)
             here, fresh = found, False
-        if gain >= tolerance and (ratio > POOR or renewals <= 0):
+        promised = float(force @ np.linalg.solve(matrix, force)) if to_the_end and used > LEAST_DAMPING else 0.0
+        if ratio > POOR and (gain >= tolerance or promised >= tolerance):
+            continue
+        if gain >= tolerance and renewals <= 0:
             continue
         if renewals <= 0 or (gain < tolerance and fresh) or (gain < tolerance and found is not None and ratio > POOR):
             break
