@@ -22,6 +22,7 @@ from station.diagnose.result import (
     Diagnosis,
     DiagnosisResult,
     Disturbance,
+    OwnOfRun,
     Ranked,
     RankedCause,
     RunComparison,
@@ -120,7 +121,9 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     decided = decision in ("explained", "nothing_missing") and len(given) >= FEW
     ranking = _ranking(search, told, left_out)
     share, constant = differences(chosen, search.weighing, VARIES)
-    between = BetweenRuns(share=share, constant=constant)
+    differing = [] if share is None and constant is None else [
+        OwnOfRun(run=name, share=own[2], constant=own[3]) for name, own in zip(names, best.own.tolist(), strict=True)]
+    between = BetweenRuns(share=share, constant=constant, runs=differing)
     diagnosis = Diagnosis(
         verdict=decision, wrong=_wrong(runs, before, data.noise), causes=causes, gain=bought,
         next_experiment=with_word(None if decided else choice.next, decision, told, said.causes, known),
@@ -145,6 +148,8 @@ def _in_order_of(found: DiagnosisResult, names: list[str], order: list[int], sec
 
     diagnosis = found.diagnosis.model_copy(update={
         "runs": sorted(found.diagnosis.runs, key=lambda r: by_run(r.run)),
+        "between_runs": found.diagnosis.between_runs and found.diagnosis.between_runs.model_copy(update={
+            "runs": sorted(found.diagnosis.between_runs.runs, key=lambda r: by_run(r.run))}),
         "gain": found.diagnosis.gain.model_copy(update={
             "held_out": sorted(found.diagnosis.gain.held_out, key=by_run),
             "runs": sorted(found.diagnosis.gain.runs, key=lambda r: by_run(r.run))})})

@@ -103,6 +103,16 @@ class Disturbance(_Table):
     extended: float
 
 
+class OwnOfRun(_Table):
+    """What the motor does more in one run than its command and the rig say."""
+
+    run: str
+    share: float
+    """Of the command."""
+    constant: float
+    """Counts of the command."""
+
+
 class BetweenRuns(_Table):
     """By how much runs differ in what the motor does more than its command and the rig say: standard deviations, None
     where these runs do not show that they differ."""
@@ -111,6 +121,8 @@ class BetweenRuns(_Table):
     """Of the command."""
     constant: float | None = None
     """Counts of the command."""
+    runs: list[OwnOfRun] = Field(default_factory=list)
+    """Each run's own, where they differ."""
 
 
 class NextExperiment(_Table):

@@ -26,9 +26,9 @@ PLACE_STEP = 0.02
 """Finite-difference step of the motor's place in a gap (artanh of its share)."""
 OFFSET_STEP = 0.1
 """Finite-difference step of the accelerometer's offset, counts; of the starting angle half a count."""
-LARGEST = np.array([0.03, 0.01])
-"""Most by which runs differ: a share of the command (a motor's torque constant falls by 0.2 % a degree of its ferrite
-magnets: fifteen degrees), and of the amplifier's limit (an offset of its input)."""
+LARGEST = np.array([0.3, 0.01])
+"""Most by which runs differ: a share of the command (what the voltage of a supply that nothing regulates, a battery or
+a wall adapter, may differ by from one day to another), and of the amplifier's limit (an offset of its input)."""
 ROUNDS = 12
 """In which these sizes settle."""
 LONGEST = 2.0

@@ -374,8 +374,15 @@ def between_runs(diagnosis: Diagnosis) -> str:
     sizes = [f"{percent(found.share)} of its command" if found.share is not None else "",
              f"{number(found.constant, 2)} counts of it" if found.constant is not None else ""]
     told = " and ".join(filter(None, sizes))
-    return f"From run to run the motor does more or less by {told} (standard deviations), as no cause " \
-           "with one value for all runs can." if told else ""
+    if not told:
+        return ""
+    words = (f"From run to run the motor does more or less by {told} (standard deviations), as no cause with one value "
+             "for all runs can")
+    if found.share is None or not found.runs:
+        return f"{words}."
+    least, most = (pick(found.runs, key=lambda row: row.share) for pick in (min, max))
+    return (f"{words}: from {percent(least.share)} in {least.run} to {percent(most.share)} in {most.run}. A supply whose "
+            "voltage differs between tests does that.")
 
 
 def why_lost(cause: RankedCause, first: RankedCause | None, named: bool) -> str:

@@ -1,0 +1,51 @@
+"""A motor whose supply differs from test to test is told as that, and no cause has to stand for it.
+
+The motor's torque per count is proportional to the supply's voltage, its damping is not: runs of the independent
+generator, each on a rig with a motor gain of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from station.diagnose.diagnose import diagnose
+from station.diagnose.result import Diagnosis
+from station.rig import Rig
+from station.view import wording
+from tests.truth import RIGID_AXIS, make_case
+from tests.truth.cases import Case, simulate_case
+from tests.truth.rigs import with_constants
+
+SHARES = (0.14, -0.12, 0.10, -0.15, 0.03)
+"""By which each run's motor does more than the rig's."""
+
+
+def supplied(case: Case) -> Diagnosis:
+    """What is said of a case's tests, each at a voltage of its own."""
+    runs = []
+    for run, test, conditions, share in zip(case.runs, case.tests, case.conditions, SHARES, strict=True):
+        rig = with_constants(case.rig, {"motor.gain": case.rig["motor"]["gain"] * (1.0 + share)})
+        made = simulate_case(rig, case.effects, [test], [conditions])[0]
+        runs.append(replace(run, command=made.command, encoder=made.encoder))
+    return diagnose(Rig.model_validate(RIGID_AXIS), runs, effort="quick").diagnosis
+
+
+@pytest.mark.parametrize("hidden", [[], [("coulomb_friction", "motor")]])
+def test_a_supply_that_differs_is_told_run_by_run_and_nothing_is_named_for_it(hidden: list[tuple[str, str]]) -> None:
+    said = supplied(make_case(8010, hidden, nominal=RIGID_AXIS, count=len(SHARES)))
+    assert [(cause.effect, cause.at) for cause in said.causes] == hidden
+    between = said.between_runs
+    assert between is not None and between.share == pytest.approx(np.std(SHARES), rel=0.3)
+    told, true = 1.0 + np.array([row.share for row in between.runs]), 1.0 + np.array(SHARES)
+    assert told / told.mean() == pytest.approx(true / true.mean(), abs=0.03)
+    words = wording.between_runs(said)
+    assert between.runs[3].run in words and between.runs[0].run in words
+
+
+def test_runs_of_one_supply_show_no_difference() -> None:
+    case = make_case(8010, [("coulomb_friction", "motor")], nominal=RIGID_AXIS, count=len(SHARES))
+    said = diagnose(Rig.model_validate(RIGID_AXIS), case.runs, effort="quick").diagnosis
+    assert said.between_runs is not None and said.between_runs.share is None and said.between_runs.runs == []
