@@ -136,9 +136,8 @@ def differences(one: Diagnosis, other: Diagnosis) -> list[str]:
     return found
 
 
-HELD = [(data, change) for data in ("made", "servo") for change in CHANGES if (data, change) != ("servo", "half rate")]
-"""What holds to the last criterion.  What does not stands in docs/diagnosis.md: a log of every other tick has lost half
-of its commands, and one that begins in motion its first second."""
+HELD = [*((data, change) for data in ("made", "servo") for change in CHANGES), ("arm", "cut"), ("arm", "split")]
+"""What holds to the last criterion (of the arm, as far as the suite's time allows)."""
 
 
 @pytest.mark.parametrize(("data", "change"), HELD)
@@ -157,17 +156,11 @@ def laws(found: Diagnosis) -> dict[str, Cause]:
     return {cause.effect: cause for cause in found.causes}
 
 
-def test_the_arms_laws_are_the_same_with_the_runs_ends_cut_off() -> None:
-    whole, other = plain("arm"), said(*CHANGES["cut"](*given("arm")))
-    assert whole.verdict == other.verdict and laws(whole).keys() == laws(other).keys()
-    assert overlapping(laws(whole), laws(other))
-
-
-def test_every_other_row_of_the_arm_names_what_all_rows_name_first_and_nothing_else() -> None:
-    """Half the rows hold half the evidence: enough for the friction, too little for a drive that hardly yields."""
+def test_every_other_row_of_the_arm_names_the_same_laws() -> None:
+    """Half the rows hold half the evidence: the drive's probability falls by more than CLOSE, to no less than 0.8."""
     whole, other = plain("arm"), said(*CHANGES["half rate"](*given("arm")))
-    assert whole.verdict == other.verdict
-    assert whole.causes[0].effect in laws(other) and laws(other).keys() <= laws(whole).keys()
+    assert whole.verdict == other.verdict and laws(whole).keys() == laws(other).keys()
+    assert min(cause.probability for cause in other.causes) > 0.8
     assert overlapping(laws(whole), laws(other))
 
 
