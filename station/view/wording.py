@@ -381,8 +381,8 @@ def between_runs(diagnosis: Diagnosis) -> str:
     if found.share is None or not found.runs:
         return f"{words}."
     least, most = (pick(found.runs, key=lambda row: row.share) for pick in (min, max))
-    return (f"{words}: from {percent(least.share)} in {least.run} to {percent(most.share)} in {most.run}. A supply whose "
-            "voltage differs between tests does that.")
+    return (f"{words}: from {percent(least.share)} in {least.run} to {percent(most.share)} in {most.run}. A supply "
+            "whose voltage differs between tests does that.")
 
 
 def why_lost(cause: RankedCause, first: RankedCause | None, named: bool) -> str:
