@@ -87,10 +87,10 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     nothing = search.fits[frozenset()]
     chosen = fitted(search, said.causes, spoken.sets[0][0])
     said = replace(said, causes=chosen.key)
-    best = refined(predictor, search.weighing, chosen)
+    best = refined(predictor, search.own_weighing(chosen), chosen)
     report("judging on runs left out", 0.92)
-    left_out = {said.causes: leave_each_out(predictor, search.weighing, best)}
-    left_out.setdefault(frozenset(), leave_each_out(predictor, search.weighing, nothing))
+    left_out = {said.causes: leave_each_out(predictor, best.weighing, best)}
+    left_out.setdefault(frozenset(), leave_each_out(predictor, search.own_weighing(nothing), nothing))
     zero = np.zeros(nothing.space.size)
     before = simulate_runs(data, nothing.space, zero, data.own)
     refit = simulate_unseen(predictor, left_out[frozenset()])

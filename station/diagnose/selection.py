@@ -62,11 +62,24 @@ class Selection:
 
         How much runs differ is each set's own: what is most likely of all data.
         """
+        own, whole = self._own(found)
+        return whole if drawn is None else found.log_evidence(own, drawn)
+
+    def own_weighing(self, found: Fit) -> Weighing:
+        """The weighing with what runs differ by by this set of causes."""
+        return self._own(found)[0]
+
+    def _own(self, found: Fit) -> tuple[Weighing, float]:
         known = self._weighed.get(found)
         if known is None or known[0] is not self.weighing:
             own = replace(self.weighing, differ=found.most_likely_differ(self.weighing))
             known = self._weighed[found] = (self.weighing, own, found.log_evidence(own))
-        return known[2] if drawn is None else found.log_evidence(known[1], drawn)
+        return known[1:]
+
+    def loosest(self, found: Fit) -> Weighing:
+        """The same for sets that explain less: they may need runs to differ by as much as the rig alone does."""
+        sizes = np.maximum(self.own_weighing(found).differ, self.own_weighing(self.fits[frozenset()]).differ)
+        return replace(self.weighing, differ=(float(sizes[0]), float(sizes[1])))
 
     def score(self, found: Fit, drawn: np.ndarray | None = None) -> float:
         """Log posterior of a set of causes, up to a constant; ``drawn``: of resampled stretches."""
@@ -130,7 +143,7 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
 
 def _with_derivatives(search: Selection, found: Fit) -> Fit:
     """The same set, fitted under the weighing in force, with derivatives to hand on."""
-    again = fit(search.predictor, found.space, search.weighing, found.x, found.own)
+    again = fit(search.predictor, found.space, search.own_weighing(found), found.x, found.own)
     search.keep(again)
     return again
 
@@ -157,7 +170,7 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], share: tuple[f
         far += far_starts(predictor, pool, effort.finished)
 
     def quick(start: tuple[Screened, ...]) -> Fit | None:
-        return begun(predictor, parent, start, search.weighing)
+        return begun(predictor, parent, start)
 
     found: dict[Causes, Fit] = {}
     for start, one in zip(far, predictor.pool.map(lambda start: start.fitted(predictor, search.weighing), far),
@@ -175,12 +188,12 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], share: tuple[f
             if begun_fit.key not in found or begun_fit.objective < found[begun_fit.key].objective:
                 found[begun_fit.key] = begun_fit
     ranked = sorted(found.values(), key=lambda f: -search.score(f))[: effort.finished]
-    _refit(search, [search.fits[f.key] for f in ranked], search.weighing, False,
+    _refit(search, [search.fits[f.key] for f in ranked], False,
            lambda k, label: progress(f"fitted {label}",
                                      share[0] + (share[1] - share[0]) * (0.6 + 0.4 * (k + 1) / len(ranked))))
 
 
-def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened], weighing: Weighing) -> Fit | None:
+def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened]) -> Fit | None:
     """A parent's hypothesis with further causes, a few steps from where screening put them; None where it is lost."""
     hypothesis, centres = parent.space.hypothesis, parent.space.values(parent.space.mean)
     first: Sizes = {}
@@ -189,18 +202,18 @@ def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened], weighing
                                       {**first, **one.start})
     space = parameters(predictor.data, hypothesis, centres)
     with suppress(*LOST):
-        return fit(predictor, space, weighing, space.carried(parent.space, parent.x, first), parent.own,
+        return fit(predictor, space, parent.weighing, space.carried(parent.space, parent.x, first), parent.own,
                    jacobian=inherited(parent, space), parallel=False, renewals=0,
                    iterations=QUICK_STEPS, tolerance=0.5).light
     return None
 
 
-def _refit(search: Selection, fits: Iterable[Fit], weighing: Weighing, to_the_end: bool,
+def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
            told: Callable[[int, str], None] = lambda k, label: None) -> None:
-    """Fit sets to the end under a weighing, side by side."""
+    """Fit sets to the end, each with what runs differ by by itself, side by side."""
     def again(found: Fit) -> Fit | None:
         with suppress(*LOST):
-            return fit(search.predictor, found.space, weighing, found.x, found.own, parallel=False,
+            return fit(search.predictor, found.space, search.own_weighing(found), found.x, found.own, parallel=False,
                        iterations=STEPS, renewals=4, tolerance=0.2,
                        to_the_end=to_the_end).light
         return None
@@ -236,7 +249,7 @@ def _moved(search: Selection, found: Fit, old: tuple[type[Effect], str], new: Ca
     centres, sizes = found.space.values(found.space.mean), found.space.values(found.x)
     space = parameters(search.predictor.data, hypothesis, {**centres, new.key: centres[key]})
     with suppress(*LOST):
-        return fit(search.predictor, space, search.weighing,
+        return fit(search.predictor, space, search.loosest(found),
                    space.carried(found.space, found.x, {new.key: sizes[key]}), found.own, parallel=False,
                    iterations=STEPS, renewals=4, tolerance=0.2).light
     return None
@@ -251,7 +264,7 @@ def _reduced(search: Selection, found: Fit, causes: Causes) -> Fit | None:
     centres: Sizes = {k: v for k, v in found.space.values(found.space.mean).items() if k in causes}
     space = parameters(search.predictor.data, hypothesis, centres)
     with suppress(*LOST):
-        return fit(search.predictor, space, search.weighing, space.carried(found.space, found.x), found.own,
+        return fit(search.predictor, space, search.loosest(found), space.carried(found.space, found.x), found.own,
                    parallel=False, iterations=STEPS, renewals=4, tolerance=0.2).light
     return None
 
@@ -272,7 +285,7 @@ def _finish(search: Selection) -> None:
         ranked = sorted(search.fits.values(), key=lambda f: -search.score(f))
         close = [f for f in ranked if search.score(f) > search.score(best) - CLOSE][: 2 * search.effort.finished]
         subsets = [f for f in search.fits.values() if f.key < best.key and f not in close]
-        _refit(search, [*close, *subsets], search.weighing, True)
+        _refit(search, [*close, *subsets], True)
         if search.best().key == best.key:
             break
         search.weigh(search.best())

@@ -12,16 +12,27 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.optimize import minimize
 
 from station.estimation.dataset import SEVERAL, Dataset
-from station.estimation.likelihood import Weighing, cost, differ_precision, nuisance_precision, temperatures
+from station.estimation.likelihood import (
+    LEAST_DIFFERENCE,
+    Weighing,
+    cost,
+    differ_precision,
+    nuisance_precision,
+    temperatures,
+)
 from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor
 
 LOST = (ArithmeticError, np.linalg.LinAlgError)
 """What a fit raises that went where nothing simulates."""
-STEP = 2e-3
-"""Finite-difference step in whitened or logarithmic coordinates."""
+STEP = 1e-5
+"""Finite-difference step in whitened or logarithmic coordinates: the root of a simulation's own relative error, which
+gives forward differences as many digits as they can have (Nocedal and Wright, Numerical Optimization, 2nd ed. 2006,
+section 8.1).  Along directions that no output shows (a unit of length) the columns must cancel: what a wider step
+leaves of their curvature there would count as information."""
 PLACE_STEP = 0.02
 """Finite-difference step of the motor's place in a gap (artanh of its share)."""
 OFFSET_STEP = 0.1
@@ -29,8 +40,6 @@ OFFSET_STEP = 0.1
 LARGEST = np.array([0.3, 0.01])
 """Most by which runs differ: a share of the command (what the voltage of a supply that nothing regulates, a battery or
 a wall adapter, may differ by from one day to another), and of the amplifier's limit (an offset of its input)."""
-ROUNDS = 12
-"""In which these sizes settle."""
 LONGEST = 2.0
 """Longest step in any coordinate, prior sigmas or logarithm."""
 DAMPING, LEAST_DAMPING = 1e-2, 1e-6
@@ -176,24 +185,45 @@ class Fit:
         step = np.linalg.solve(matrix, gradients.sum(axis=0) - prior * (self.x - self.space.mean))
         return matrix, step, (inverse @ (force - matrices[:, p:, :p] @ step)[:, :, None])[:, :, 0], inverse
 
+    def _integrated(self, matrices: np.ndarray, slopes: np.ndarray, own: np.ndarray, most_gained: float = np.inf,
+                    ) -> tuple[float, float, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """By Laplace's approximation, one Gauss-Newton step from the fit: what is added to -2 ln L there, priors
+        included; ln of the squared volume that the data leave of the priors'; and the step (``_stepped``)."""
+        prior = self.space.precision
+        matrix, step, moved, inverse = stepped = self._stepped(matrices, slopes, own)
+        whole = np.concatenate([np.broadcast_to(step, (len(moved), len(step))), moved], axis=1)
+        gained = float(np.sum(whole * (2.0 * slopes - (matrices @ whole[:, :, None])[:, :, 0])))
+        value = (float(prior @ (self.x - self.space.mean + step) ** 2) - min(gained, most_gained)
+                 + float(np.sum(own * (self.away + moved) ** 2)))
+        volume = (float(np.sum(np.log(prior))) - float(np.linalg.slogdet(matrix)[1])
+                  + len(self.squares) * float(np.sum(np.log(own))) + float(np.linalg.slogdet(inverse)[1].sum()))
+        return value, volume, stepped
+
     def most_likely_differ(self, weighing: Weighing) -> tuple[float, float]:
         """How much runs differ in what the motor does more than the rig says (``Weighing.differ``).
 
-        Empirical Bayes by expectation and maximisation (Dempster, Laird and Rubin, J. R. Stat. Soc. B 39, 1977; Gelman
-        et al., section 13.6), about the fit: the mean over runs of their squares and of what these leave uncertain.
+        Empirical Bayes (Gelman et al., section 13.6), about the fit: of highest marginal likelihood, parameters and
+        what runs have of their own integrated out.  Its slope follows from the runs' squares and what these leave
+        uncertain (the identity behind expectation and maximisation: Dempster, Laird and Rubin, J. R. Stat. Soc. B 39,
+        1977); these rounds themselves take hundreds to arrive where runs are alike.
         """
         if len(self.squares) < SEVERAL:
             return 0.0, 0.0
         p, (matrices, slopes) = self.space.size, self._by_run(weighing)
         largest = LARGEST * np.array([1.0, self.space.rig.amplifier.limit])
-        sizes = largest
-        for _ in range(ROUNDS):
+
+        def surprise(logs: np.ndarray) -> tuple[float, np.ndarray]:
+            sizes = np.exp(logs)
             own = self.own_precision((sizes[0], sizes[1]))
-            matrix, _, moved, inverse = self._stepped(matrices, slopes, own)
+            value, volume, (matrix, _, moved, inverse) = self._integrated(matrices, slopes, own)
             coupled = inverse @ matrices[:, p:, :p]
             variance = np.diagonal(inverse + coupled @ np.linalg.solve(matrix, coupled.transpose(0, 2, 1)),
                                    axis1=1, axis2=2)
-            sizes = np.minimum(np.sqrt(np.mean(((self.away + moved) ** 2 + variance)[:, -2:], axis=0)), largest)
+            found = np.sum(((self.away + moved) ** 2 + variance)[:, -2:], axis=0)
+            return value - volume, 2.0 * (len(moved) - found / sizes**2)
+
+        bounds = [(np.log(LEAST_DIFFERENCE), end) for end in np.log(largest)]
+        sizes = np.exp(minimize(surprise, np.log(largest), jac=True, method="L-BFGS-B", bounds=bounds).x)
         return float(sizes[0]), float(sizes[1])
 
     @cached_property
@@ -211,18 +241,10 @@ class Fit:
 
         Under another weighing, or of a resample, one Gauss-Newton step is taken from the fit.
         """
-        prior, delta, own = self.space.precision, self.x - self.space.mean, self.own_precision(weighing.differ)
         squares, counts, independent = self.drawn(weighing, drawn)
-        matrices, slopes = self._by_run(weighing, drawn)
-        matrix, step, moved, inverse = self._stepped(matrices, slopes, own)
-        whole = np.concatenate([np.broadcast_to(step, (len(moved), len(step))), moved], axis=1)
-        gained = float(np.sum(whole * (2.0 * slopes - (matrices @ whole[:, :, None])[:, :, 0])))
-        value = (cost(squares, counts, independent) / weighing.temperature - min(gained, MOST_GAINED)
-                 + float(prior @ (delta + step) ** 2) + float(np.sum(own * (self.away + moved) ** 2)))
-        volume = (float(np.sum(np.log(prior))) - float(np.linalg.slogdet(matrix)[1])
-                  + len(self.squares) * float(np.sum(np.log(own))) + float(np.linalg.slogdet(inverse)[1].sum()))
-        return -0.5 * value + 0.5 * volume
-
+        value, volume, _ = self._integrated(*self._by_run(weighing, drawn), self.own_precision(weighing.differ),
+                                            MOST_GAINED)
+        return -0.5 * (value + cost(squares, counts, independent) / weighing.temperature) + 0.5 * volume
 
 MOST_GAINED = 20.0
 """What a step that is not simulated may promise of the data's part of the objective."""

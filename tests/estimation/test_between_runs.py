@@ -75,6 +75,16 @@ def test_a_bias_of_all_runs_is_a_cause_and_one_of_either_sign_is_none() -> None:
     assert gained(OFFSETS) < 2.0
 
 
+@pytest.mark.parametrize("offsets", [OFFSETS, np.zeros(6), np.full(6, 3.0)])
+def test_sizes_are_the_most_likely_ones(offsets: np.ndarray) -> None:
+    """No other pair of sizes on a grid is more likely, down to runs that are quite alike."""
+    found = fitted(offsets, np.zeros(6))
+    best = found.log_evidence(replace(found.weighing, differ=found.most_likely_differ(found.weighing)))
+    for share in (1e-6, 1e-4, 1e-3, 1e-2, 0.1):
+        for constant in (1e-6, 1e-3, 1e-2, 0.1, 1.0, 2.0):
+            assert found.log_evidence(replace(found.weighing, differ=(share, constant))) < best + 0.05
+
+
 def test_without_a_step_left_to_take_the_evidence_is_that_of_the_fit(varied: Fit) -> None:
     """The quadratic about a fit at its optimum promises nothing more; a prior far from it costs what it says."""
     tight = replace(varied.weighing, differ=(1e-6, varied.weighing.differ[1]))

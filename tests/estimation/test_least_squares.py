@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +16,12 @@ from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
 from station.estimation.prediction import Predictor
 from station.model.effects import effect_class
+from station.model.simulate import simulate
+from station.model.units import powers
+from station.rig import load_rig
+from station.runs.run import Run, RunMetadata
 from tests.estimation.made import AXIS, runs_of
+from tests.truth import CONTROLLERS
 
 FRICTION, KEY = effect_class("coulomb_friction"), ("coulomb_friction", "motor")
 TORQUE = 0.02 * AXIS.motor.gain * AXIS.amplifier.limit
@@ -47,6 +53,27 @@ def test_what_was_hidden_is_found_from_a_wrong_start(fitted: Fit) -> None:
     ratio = rig.motor.damping / rig.motor.gain / (AXIS.motor.damping / AXIS.motor.gain)
     assert ratio == pytest.approx(1.1, rel=0.03)
     assert np.all(fitted.squares < 2.0 * block_counts_of(fitted))
+
+
+def test_what_no_output_shows_carries_no_information() -> None:
+    """All torques in another unit are the same outputs (station.model.units), and so is a beam in another unit of length:
+    what derivatives along these directions leave must be nothing beside the constants' prior (1 per sigma)."""
+    rig = load_rig("sflr")
+    reference = np.where(np.arange(600) < 50, 0.0, 150.0)
+    zero = np.zeros(600)
+    still = Run("step", np.arange(600) / 500.0, reference, reference, zero, zero,
+                RunMetadata(controller=CONTROLLERS["p2"], command_row=-1))
+    made = simulate(rig.remeshed(), still)
+    run = replace(still, command=made.command, encoder=made.encoder, accel=made.accel)
+    with ThreadPoolExecutor(1) as pool:
+        predictor = Predictor(dataset(rig, [run]), observers(rig, 0.0), pool)
+        space = parameters(predictor.data, Hypothesis(), {})
+        found = fit(predictor, space, Weighing(predictor.counts, 1.0), space.mean.copy(), iterations=0)
+    normal, _ = found.normal(found.weighing)
+    for unit in (0, 1):
+        direction = np.linalg.solve(space.root, powers(space.paths, unit))
+        assert np.diag(normal).max() > 1e4
+        assert direction @ normal @ direction < 0.02 * (direction @ direction)
 
 
 def block_counts_of(found: Fit) -> np.ndarray:
