@@ -80,10 +80,11 @@ class _Eliminated:
         self.matrix = normal + np.diag(parent.space.precision)
         self.force = slope - parent.space.precision * (parent.x - parent.space.mean)
         # Per run: the nuisances' own products, and what of errors and parameters they take up.
-        self.inner = [np.linalg.inv(d[p:] @ d[p:].T + np.diag(parent.nuisance)) for d in self.derivatives]
+        self.inner = [np.linalg.inv(d[p:] @ d[p:].T + np.diag(own))
+                      for d, own in zip(self.derivatives, parent.nuisance, strict=True)]
         self.coupled = [d[p:] @ d[:p].T for d in self.derivatives]
-        self.taken = [d[p:] @ e - parent.nuisance * away
-                      for d, e, away in zip(self.derivatives, self.errors, parent.away, strict=True)]
+        self.taken = [d[p:] @ e - own * away for d, e, own, away in
+                      zip(self.derivatives, self.errors, parent.nuisance, parent.away, strict=True)]
 
     def change(self, space: Parameters, x: np.ndarray) -> list[np.ndarray] | None:
         """What a hypothesis at x changes in the weighed predictions, per run; None where it does not simulate."""

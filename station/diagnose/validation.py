@@ -49,7 +49,7 @@ def settled_run(data: Dataset, model: Model, run: int, own: np.ndarray, differ: 
     """The same with what suits the run best of what it has of its own (two Gauss-Newton steps), as the device would
     have read it; ``differ`` as ``Weighing`` has it."""
     moves = np.isin(data.free, np.flatnonzero([True, True, *(size > 0.0 for size in differ)]))
-    free, prior = data.free[moves], nuisance_precision(data, differ)[moves]
+    free, prior = data.free[moves], nuisance_precision(data, differ)[run][moves]
     scale = np.sqrt(data.share[run]) / data.sigma[:, None]
     steps, first, own = own_steps(data), data.own[run], own.copy()
 

@@ -80,6 +80,12 @@ class Dataset:
         """Whether the accelerometer is among the channels."""
         return self.channels == 2
 
+    @cached_property
+    def offset_error(self) -> np.ndarray:
+        """(runs) standard error of the offset as read, counts: of a loop that acts from the start on, one reading's."""
+        rows = [len(run) if warm else max(rest_rows(run), 1) for run, warm in zip(self.runs, self.warm, strict=True)]
+        return self.sigma[-1] / np.sqrt(rows) if self.has_accel else np.zeros(len(rows))
+
     @property
     def own(self) -> np.ndarray:
         """(runs, 4) what each run has of its own, before a fit.

@@ -91,7 +91,7 @@ class Fit:
     information: Information
     weighing: Weighing
     nuisance: np.ndarray
-    """(c) prior precisions of what runs have of their own."""
+    """(runs, c) prior precisions of what runs have of their own."""
     owner: np.ndarray
     """(s) the run of each stretch."""
 
@@ -149,10 +149,11 @@ class Fit:
         return self._eliminated(matrices, slopes, self.own_precision(weighing.differ))[:2]
 
     def own_precision(self, differ: tuple[float, float]) -> np.ndarray:
-        """(c) prior precisions of what runs have of their own where they differ by so much."""
-        if len(self.squares) < SEVERAL:
-            return self.nuisance
-        return np.append(self.nuisance[:-2], differ_precision(differ))
+        """(runs, c) prior precisions of what runs have of their own where they differ by so much."""
+        found = self.nuisance.copy()
+        if len(found) >= SEVERAL:
+            found[:, -2:] = differ_precision(differ)
+        return found
 
     def _by_run(self, weighing: Weighing, drawn: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """J'WJ (runs, p + c, p + c) and J'We (runs, p + c)."""
@@ -169,7 +170,7 @@ class Fit:
         """Normal matrices and gradients of the parameters alone, run by run; (runs, c, c) the inverse precisions of
         what runs have of their own at given parameters, and (runs, c) their forces."""
         p = self.space.size
-        inverse = np.linalg.inv(matrices[:, p:, p:] + np.diag(own))
+        inverse = np.linalg.inv(matrices[:, p:, p:] + own[:, :, None] * np.eye(own.shape[1]))
         force = slopes[:, p:] - own * self.away
         across = matrices[:, :p, p:] @ inverse
         return (matrices[:, :p, :p] - across @ matrices[:, p:, :p],
@@ -196,7 +197,7 @@ class Fit:
         value = (float(prior @ (self.x - self.space.mean + step) ** 2) - min(gained, most_gained)
                  + float(np.sum(own * (self.away + moved) ** 2)))
         volume = (float(np.sum(np.log(prior))) - float(np.linalg.slogdet(matrix)[1])
-                  + len(self.squares) * float(np.sum(np.log(own))) + float(np.linalg.slogdet(inverse)[1].sum()))
+                  + float(np.sum(np.log(own))) + float(np.linalg.slogdet(inverse)[1].sum()))
         return value, volume, stepped
 
     def most_likely_differ(self, weighing: Weighing) -> tuple[float, float]:
@@ -340,8 +341,8 @@ class _Descent:
             root = np.sqrt(np.maximum(w[r], 1e-12))[:, None]
             flat = (j * root).reshape(len(j), -1)
             m, v = flat @ flat.T, flat @ (e * root).ravel()
-            inner = m[p:, p:] + np.diag(self.nuisance)
-            solved = np.linalg.solve(inner, np.column_stack([m[p:, :p], v[p:] - self.nuisance * away[r]]))
+            inner = m[p:, p:] + np.diag(self.nuisance[r])
+            solved = np.linalg.solve(inner, np.column_stack([m[p:, :p], v[p:] - self.nuisance[r] * away[r]]))
             matrix += m[:p, :p] - m[:p, p:] @ solved[:, :p]
             force += v[:p] - m[:p, p:] @ solved[:, p]
             back.append(solved)
@@ -442,8 +443,8 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
 
 def _broyden(jac: list[np.ndarray], old: _Point, new: _Point, descent: _Descent) -> None:
     """Correct Jacobians (per run) so that they give what a step did; nuisances in units of their priors."""
-    units = np.concatenate([np.ones(descent.space.size), np.sqrt(descent.nuisance)])
     for r, j in enumerate(jac):
+        units = np.concatenate([np.ones(descent.space.size), np.sqrt(descent.nuisance[r])])
         step = np.concatenate([new.x - old.x, (new.own - old.own)[r, descent.data.free]])
         norm = float(np.sum((step * units) ** 2))
         if norm > 1e-12:
@@ -479,11 +480,12 @@ def _projected(found: Fit, weighing: Weighing) -> tuple[np.ndarray, np.ndarray]:
     info, p = found.information, found.space.size
     w = found.blocks(weighing)[found.owner]
     curvatures, slopes = np.zeros((w.shape[1], p, p)), np.zeros((*w.shape, p))
+    owns = found.own_precision(weighing.differ)
     for r in range(len(found.squares)):
         own = found.owner == r
         matrices, forces = np.einsum("sb,sbij->bij", w[own], info.normal[own]), w[own, :, None] * info.gradient[own]
         whole = matrices.sum(axis=0)
-        take = np.linalg.solve(whole[p:, p:] + np.diag(found.own_precision(weighing.differ)), whole[p:, :p])
+        take = np.linalg.solve(whole[p:, p:] + np.diag(owns[r]), whole[p:, :p])
         kept = np.vstack([np.eye(p), -take])
         curvatures += kept.T @ matrices @ kept
         slopes[own] = forces @ kept

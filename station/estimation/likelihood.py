@@ -50,7 +50,7 @@ STEPS = 5
 NEAR = 0.25
 """Longest of these: half of what lies between two of the starts."""
 NUISANCES = (0.35, 0.5)
-"""Prior sigmas of a run's starting angle and accelerometer offset, counts: rounding's, and drift between tests."""
+"""Prior sigmas of a run's starting angle and accelerometer offset, counts: rounding's, and drift since it was read."""
 LEAST_DIFFERENCE = 1e-6
 """Share of the command, and counts, by which runs differ where they do not."""
 ROUNDS = 3
@@ -167,9 +167,11 @@ def _over(scatter: np.ndarray, curvature: np.ndarray) -> np.ndarray:
 
 
 def nuisance_precision(data: Dataset, differ: tuple[float, float]) -> np.ndarray:
-    """(c) prior precisions of what each run has of its own (``Dataset.own``, its free columns)."""
-    angle, offset = NUISANCES
-    return np.append(np.array([angle * data.rig.angle_per_count, offset]) ** -2.0, differ_precision(differ))[data.free]
+    """(runs, c) prior precisions of what each run has of its own (``Dataset.own``, its free columns)."""
+    angle, drift = NUISANCES
+    offset = np.hypot(drift, data.offset_error)
+    found = [np.full_like(offset, angle * data.rig.angle_per_count) ** -2.0, offset**-2.0]
+    return np.stack([*found, *np.outer(differ_precision(differ), np.ones_like(offset))], axis=1)[:, data.free]
 
 
 def differ_precision(differ: tuple[float, float]) -> np.ndarray:

@@ -56,7 +56,7 @@ def test_what_was_hidden_is_found_from_a_wrong_start(fitted: Fit) -> None:
 
 
 def test_what_no_output_shows_carries_no_information() -> None:
-    """All torques in another unit are the same outputs (station.model.units), and so is a beam in another unit of length:
+    """All torques in another unit are the same outputs, and so is a beam in another unit of length (model.units):
     what derivatives along these directions leave must be nothing beside the constants' prior (1 per sigma)."""
     rig = load_rig("sflr")
     reference = np.where(np.arange(600) < 50, 0.0, 150.0)
@@ -99,7 +99,7 @@ def test_drawing_every_stretch_once_changes_nothing(fitted: Fit, weighing: Weigh
 
 
 def test_eliminating_each_runs_nuisances_is_solving_for_all_at_once(fitted: Fit, weighing: Weighing) -> None:
-    p, c, runs = fitted.space.size, len(fitted.nuisance), len(fitted.squares)
+    p, c, runs = fitted.space.size, fitted.nuisance.shape[1], len(fitted.squares)
     joint, force = np.zeros((p + runs * c, p + runs * c)), np.zeros(p + runs * c)
     w = fitted.blocks(weighing)
     for r, (j, e) in enumerate(zip(fitted.jacobian, fitted.residuals, strict=True)):
@@ -107,8 +107,8 @@ def test_eliminating_each_runs_nuisances_is_solving_for_all_at_once(fitted: Fit,
         joint[np.ix_(at, at)] += np.einsum("b,ibn,jbn->ij", w[r], j, j)
         force[at] += np.einsum("b,ibn,bn->i", w[r], j, e)
         own = np.arange(p + r * c, p + (r + 1) * c)
-        joint[own, own] += fitted.nuisance
-        force[own] -= fitted.nuisance * fitted.away[r]
+        joint[own, own] += fitted.nuisance[r]
+        force[own] -= fitted.nuisance[r] * fitted.away[r]
     prior = fitted.space.precision
     joint[range(p), range(p)] += prior
     force[:p] -= prior * (fitted.x - fitted.space.mean)
