@@ -85,9 +85,10 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     spoken = by_law(found)
     said = stated(spoken)
     nothing = search.fits[frozenset()]
-    chosen = fitted(search, said.causes, spoken.sets[0][0])
-    said = replace(said, causes=chosen.key)
-    best = refined(predictor, search.own_weighing(chosen), chosen)
+    said, chosen, best, left = _fitted(search, said, spoken.sets[0][0])
+    if said.one_of and not left.is_noise:
+        # Where more than noise is left what few resamples name may stand in for something else (``verdict``).
+        said, chosen, best, left = _fitted(search, said.stable, spoken.sets[0][0])
     report("judging on runs left out", 0.92)
     left_out = {said.causes: leave_each_out(predictor, best.weighing, best)}
     left_out.setdefault(frozenset(), leave_each_out(predictor, search.own_weighing(nothing), nothing))
@@ -100,7 +101,6 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     bought = gain(data, names, before, after, ahead)
     unseen = left_out[frozenset()], left_out[said.causes]
     against = contradicted(unseen_gains(search.weighing, *unseen), relief(*unseen))
-    left = remainder(predictor, best)
     values, constants = estimates(best, chosen)
     known = standing(data, said.causes, best.space.rig_at(best.x))
     told = completed(found, said.causes, known) if said.causes in dict(found.sets) else found
@@ -137,6 +137,13 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, ranking, pictures, constants,
                            _notes(rig, search, left, said, spoken), 0.0, choice.plan, choice.unseen, choice.prediction,
                            [row.equivalence.sentence for row in known] if causes else [])
+
+
+def _fitted(search: Selection, said: Stated, whole: Causes) -> tuple[Stated, Fit, Fit, Remainder]:
+    """What is said, as far as it simulates, its fit, the same to the end, and what that leaves."""
+    chosen = fitted(search, said.causes, whole)
+    best = refined(search.predictor, search.own_weighing(chosen), chosen)
+    return Stated(chosen.key, said.one_of & chosen.key), chosen, best, remainder(search.predictor, best)
 
 
 def _in_order_of(found: DiagnosisResult, names: list[str], order: list[int], seconds: float) -> DiagnosisResult:

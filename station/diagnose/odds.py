@@ -42,6 +42,20 @@ class Odds:
     """Share of resamples in which the cause is in the best set."""
     laws: dict[str, float] = field(default_factory=dict)
     """The same of an effect, at whichever of its places."""
+    resampled: tuple[Causes, ...] = ()
+    """The best set of every resample."""
+
+    def in_its_place(self, best: Causes, cause: Key) -> float:
+        """Share of the resamples that name a cause of the best set or, beside all the others of it, one more in its
+        place; an effect is the same at whichever of its places."""
+        if not self.resampled:
+            return 0.0
+        ours, rest = ({name for name, _ in keys} for keys in (best, best - {cause}))
+
+        def holds(keys: Causes) -> bool:
+            names = {name for name, _ in keys}
+            return cause[0] in names or rest <= names and bool(names - ours)
+        return sum(map(holds, self.resampled)) / len(self.resampled)
 
     def replacements(self, best: Causes, cause: Key) -> dict[Key, float]:
         """For each cause outside the best set: the probability of sets that hold it instead of ``cause``."""
@@ -82,7 +96,7 @@ def odds(search: Selection) -> Odds:
         for name in {name for name, _ in keys}:
             laws[name] = laws.get(name, 0.0) + 1.0 / len(chosen)
     found = _odds([(allowed[k][0], float(p)) for k, p in zip(near, bagged, strict=True)], stability)
-    return replace(found, laws=laws)
+    return replace(found, laws=laws, resampled=tuple(chosen))
 
 
 def by_law(found: Odds) -> Odds:

@@ -19,9 +19,9 @@ from station.diagnose.screening import Screened, screen
 from station.diagnose.starts import far_starts, rigid_starts
 from station.diagnose.thresholds import CLOSE, LOG_PRIOR, LOG_PRIOR_PARAMETER, WORTH_A_FIT
 from station.estimation.constants import base_fit, settled
-from station.estimation.least_squares import LOST, Fit, fit, inherited, weighing_of
+from station.estimation.least_squares import FAR, LOST, Fit, fit, inherited, weighing_of
 from station.estimation.likelihood import Weighing
-from station.estimation.parameters import Causes, Hypothesis, Key, Sizes, parameters
+from station.estimation.parameters import Causes, Hypothesis, Key, Parameters, Sizes, parameters
 from station.estimation.prediction import Predictor
 from station.model.effects import Effect, Stage
 
@@ -143,7 +143,8 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
 
 def _with_derivatives(search: Selection, found: Fit) -> Fit:
     """The same set, fitted under the weighing in force, with derivatives to hand on."""
-    again = fit(search.predictor, found.space, search.own_weighing(found), found.x, found.own)
+    space, x = centred(search.predictor, found)
+    again = fit(search.predictor, space, search.own_weighing(found), x, found.own)
     search.keep(again)
     return again
 
@@ -203,17 +204,37 @@ def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened]) -> Fit |
     space = parameters(predictor.data, hypothesis, centres)
     with suppress(*LOST):
         return fit(predictor, space, parent.weighing, space.carried(parent.space, parent.x, first), parent.own,
-                   jacobian=inherited(parent, space), parallel=False, renewals=0,
+                   jacobian=inherited(parent, space), parallel=False, renewals=0, first=FAR,
                    iterations=QUICK_STEPS, tolerance=0.5).light
     return None
+
+
+def centred(predictor: Predictor, found: Fit) -> tuple[Parameters, np.ndarray]:
+    """A hypothesis whose effects' priors stand at the usual sizes nearest to those found, and the fit's point in it.
+
+    Sizes are as likely about any of an effect's usual ones; where a fit happened to begin must not count.
+    """
+    space, sizes = found.space, found.space.values(found.x)
+    centres: Sizes = {}
+    for k, (cls, at) in enumerate(space.hypothesis.effects):
+        mine = [i for i, coordinate in enumerate(space.coordinates) if coordinate.effect == k]
+        first = space.parts["effects"].start
+
+        def strain(guess: dict[str, float], mine: list[int] = mine, first: int = first) -> float:
+            return sum(space.precision[first + i] * (space.coordinates[i].to_x(guess[space.coordinates[i].name])
+                                                     - found.x[first + i]) ** 2 for i in mine)
+        centres[cls.name, at] = min(cls.guesses(predictor.data.rig, at), key=strain)
+    moved = parameters(predictor.data, space.hypothesis, centres)
+    return moved, moved.carried(space, found.x, sizes)
 
 
 def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
            told: Callable[[int, str], None] = lambda k, label: None) -> None:
     """Fit sets to the end, each with what runs differ by by itself, side by side."""
     def again(found: Fit) -> Fit | None:
+        space, x = centred(search.predictor, found)
         with suppress(*LOST):
-            return fit(search.predictor, found.space, search.own_weighing(found), found.x, found.own, parallel=False,
+            return fit(search.predictor, space, search.own_weighing(found), x, found.own, parallel=False,
                        iterations=STEPS, renewals=4, tolerance=0.2,
                        to_the_end=to_the_end).light
         return None

@@ -19,15 +19,15 @@ from station.diagnose.candidates import Candidate
 from station.diagnose.thresholds import WORTH_A_FIT
 from station.estimation.constants import BEGINNINGS, in_step, unknown
 from station.estimation.dataset import beginning
-from station.estimation.least_squares import LOST, Fit, fit
+from station.estimation.least_squares import FAR, LOST, Fit, fit
 from station.estimation.likelihood import Weighing, cost
 from station.estimation.parameters import WIDE, Hypothesis, Parameters, parameters
 from station.estimation.prediction import Predictor
 
 JOINTS = ("drive.stiffness", "clamp.stiffness")
 """Constants of which a rig's own may be as good as infinite."""
-RIGID = 3.0
-"""Sigmas of a free constant's prior above nominal from which a fit of such a joint begins."""
+RIGID = (1.5, 3.0)
+"""Sigmas of a free constant's prior above nominal from which fits of such a joint begin: 9 and 90 times as stiff."""
 AWAY = np.arange(-6, 7) / 2.0
 """Sigmas of that prior from nominal at which the objective is worked out: steps of a factor of 2.1."""
 SECONDS = BEGINNINGS[1]
@@ -47,7 +47,8 @@ class Start:
     def fitted(self, predictor: Predictor, weighing: Weighing) -> Fit | None:
         """To whole runs, without derivatives; None where that does not simulate.  From one of the pool's threads."""
         with suppress(*LOST):
-            return fit(predictor, self.space, weighing, self.x, self.own, parallel=False, tolerance=0.5).light
+            return fit(predictor, self.space, weighing, self.x, self.own, parallel=False, tolerance=0.5,
+                       first=FAR).light
         return None
 
 
@@ -61,8 +62,8 @@ def rigid_starts(predictor: Predictor, parent: Fit, pool: Sequence[Candidate]) -
         if candidate.constant in JOINTS:
             space = parameters(predictor.data, parent.space.hypothesis + candidate.hypothesis,
                                parent.space.values(parent.space.mean))
-            x = _placed(space, candidate, RIGID, space.carried(parent.space, parent.x))
-            found.append(Start(candidate, space, x, parent.own))
+            x = space.carried(parent.space, parent.x)
+            found += [Start(candidate, space, _placed(space, candidate, sigmas, x), parent.own) for sigmas in RIGID]
     return found
 
 

@@ -18,24 +18,28 @@ class Stated:
     """What is said of the causes."""
 
     causes: Causes
-    ambiguous: bool
-    """Whether the data show that something is missing, but cannot tell the first cause from its rivals."""
+    one_of: Causes = frozenset()
+    """Those of them that the data cannot tell from their rivals: something like them is there."""
+
+    @property
+    def stable(self) -> Stated:
+        """What stands by itself."""
+        return Stated(self.causes - self.one_of)
 
 
 def stated(found: Odds) -> Stated:
     """The causes of the best set that hold in at least STABLE of the resamples.
 
-    Where none does, though in as many some cause is named, these data cannot tell the rivals apart: the best set's most
-    stable cause is stated, as one of several.
+    One that does not, though in as many resamples it or one rival in its place is named, is stated as one of several:
+    these data show that there is one, and cannot tell which.  So is, where nothing else can be stated though as many
+    resamples name some cause, the best set's most stable one.
     """
     best = found.sets[0][0]
     stable = frozenset(key for key in best if found.stability.get(key, 0.0) >= STABLE)
-    if stable or not best:
-        return Stated(stable, False)
-    if 1.0 - found.nothing >= STABLE:
-        first = max(sorted(best), key=lambda key: found.stability.get(key, 0.0))
-        return Stated(frozenset([first]), True)
-    return Stated(frozenset(), False)
+    one_of = frozenset(key for key in best - stable if found.in_its_place(best, key) >= STABLE)
+    if not stable and not one_of and best and 1.0 - found.nothing >= STABLE:
+        one_of = frozenset([max(sorted(best), key=lambda key: found.stability.get(key, 0.0))])
+    return Stated(stable | one_of, one_of)
 
 
 def verdict(said: Stated, told: Odds, screened: Sequence[Screened], is_noise: bool, against: bool,
@@ -50,11 +54,11 @@ def verdict(said: Stated, told: Odds, screened: Sequence[Screened], is_noise: bo
                 plain[one.candidate.key] = max(plain.get(one.candidate.key, 0.0), one.information)
         seen = sum(value > VISIBLE for value in plain.values())
         return "nothing_missing" if seen >= 0.5 * len(plain) else "not_enough_data"
-    if not is_noise and (said.ambiguous or against):
+    if not is_noise and (said.one_of or against):
         # Where more than noise is left something that no hypothesis holds is at work, too, and what few resamples name
         # may stand in for it.
         return "unexplained"
-    if said.ambiguous:
+    if said.one_of:
         return "ambiguous"
     if not is_noise:
         return "partly_explained"

@@ -18,6 +18,8 @@ BEGIN = 0.02
 """Share of all samples that count as independent before anything is known of the errors."""
 BEGINNINGS = (0.1, 0.3, 1.0)
 """Seconds after the first command: one after the other, a period of the slowest mode of a beam apart."""
+ROUGH, WORTH = 1.0, 0.2
+"""Falls of -2 ln L that end a fit on the way, and one whose end is compared with others'."""
 SETTLED_SHARE = 0.2
 """Change of the logarithm of a number of independent errors below which it has settled: the estimate's own error."""
 SAME = 4.0
@@ -37,11 +39,11 @@ def descended(predictor: Predictor, space: Parameters, x: np.ndarray) -> Fit:
     for every period lost.  So fits are begun twice: on whole runs, and on longer and longer stretches after each run's
     first command, on which nothing is out of step yet.  ArithmeticError: ``x`` does not simulate.
     """
-    found = [fit(predictor, space, unknown(predictor), x, tolerance=1.0)]
+    found = [fit(predictor, space, unknown(predictor), x, tolerance=ROUGH)]
     if predictor.observers:
         with suppress(*LOST):
             begun = in_step(predictor, space, x)
-            found.append(fit(predictor, space, unknown(predictor), begun.x, begun.own, tolerance=1.0))
+            found.append(fit(predictor, space, unknown(predictor), begun.x, begun.own, tolerance=ROUGH))
     return min(found, key=lambda f: f.objective)
 
 
@@ -53,7 +55,8 @@ def in_step(predictor: Predictor, space: Parameters, x: np.ndarray, parallel: bo
     own = predictor.data.own
     for seconds in BEGINNINGS:
         part = predictor.on(beginning(predictor.data, seconds))
-        found = fit(part, space, unknown(part), x, own, tolerance=1.0, iterations=12, parallel=parallel)
+        tolerance = WORTH if seconds == BEGINNINGS[-1] else ROUGH
+        found = fit(part, space, unknown(part), x, own, tolerance=tolerance, iterations=12, parallel=parallel)
         x, own = found.x, found.own
     return found
 
@@ -117,5 +120,5 @@ def cooled(predictor: Predictor, found: Fit) -> Weighing:
 def refined(predictor: Predictor, weighing: Weighing, found: Fit) -> Fit:
     """A fit brought to its very end with finer simulations: values are stated from it."""
     finer = replace(predictor, accuracy=FINE)
-    return fit(finer, found.space, weighing, found.x, found.own, iterations=12, tolerance=0.02,
-               renewals=4, to_the_end=True)
+    return fit(finer, found.space, weighing, found.x, found.own, iterations=100, tolerance=0.05,
+               renewals=40, to_the_end=True)

@@ -42,11 +42,18 @@ LARGEST = np.array([0.3, 0.01])
 a wall adapter, may differ by from one day to another), and of the amplifier's limit (an offset of its input)."""
 LONGEST = 2.0
 """Longest step in any coordinate, prior sigmas or logarithm."""
-DAMPING, LEAST_DAMPING = 1e-2, 1e-6
-"""First and least damping, in units of the information itself (Marquardt 1963)."""
+NEAR, FAR = 1e-5, 1e-3
+"""First damping, a share of the largest information, of a fit that begins where another one ended and of one that
+begins anywhere else (Madsen, Nielsen and Tingleff, Methods for Non-Linear Least Squares Problems, 2nd ed. 2004,
+section 3.2)."""
+LEAST_DAMPING = 1e-6
+"""In units of the prior's precision, as all damping: what the data say nothing of must be damped, too, or it leads out
+of narrow curved valleys (Transtrum, Machta and Sethna, Phys. Rev. E 83, 2011, section VI)."""
 TRIES = 6
 POOR = 0.5
 """Share of the predicted gain below which derivatives are computed afresh."""
+GOOD, BAD = 0.75, 0.25
+"""Shares of it above which the damping falls and below which it rises (Fletcher 1971)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -386,8 +393,9 @@ def own_steps(data: Dataset) -> np.ndarray:
 def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarray, own: np.ndarray | None = None, *,
         iterations: int = 25, tolerance: float = 0.1, runs: np.ndarray | None = None,
         jacobian: list[np.ndarray] | None = None, renewals: int = 100, parallel: bool = True,
-        to_the_end: bool = False) -> Fit:
-    """Minimise the objective from ``x``; ``tolerance`` is the fall of it that ends the fit, if no more is promised.
+        to_the_end: bool = False, first: float = NEAR) -> Fit:
+    """Minimise the objective from ``x``; ``tolerance`` is the fall of it that ends the fit; ``to_the_end`` only if no
+    more is promised, and with derivatives of where it ended.
 
     Promised is what a step without damping would win of the objective's quadratic (the squared Newton decrement: Boyd
     and Vandenberghe, Convex Optimization, 2004, section 9.5): in a long valley a damped step wins next to
@@ -395,8 +403,8 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
 
     ``runs`` (runs): weights, of which 0 leaves a run out; its nuisances follow all the same.  ``jacobian`` (per run
     (p + c, b, n)) starts the quick way; where it leads no further the derivatives are computed afresh, at most
-    ``renewals`` times.  ``parallel`` spreads the work over the predictor's threads; not from one of them.
-    ArithmeticError: the start does not simulate.
+    ``renewals`` times.  ``first``: NEAR or FAR.  ``parallel`` spreads the work over the predictor's threads; not from
+    one of them.  ArithmeticError: the start does not simulate.
     """
     data = predictor.data
     descent = _Descent(predictor, space, weighing, np.ones(len(data.runs)) if runs is None else runs, parallel)
@@ -410,32 +418,35 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
         jac = [j.copy() for j in jacobian]
         for j, new in zip(jac, descent.jacobian(here, slice(len(space.paths), space.size)), strict=True):
             j[len(space.paths): space.size] = new[len(space.paths): space.size]
-    damping = DAMPING
+    metric = np.diag(space.precision)
+    damping = 0.0
     for _ in range(iterations):
         matrix, force, back = descent.normal(here, jac)
-        found, metric = None, np.diag(np.diag(matrix))
+        damping = damping or first * float(np.max(np.diag(matrix) / space.precision))
+        found = None
         for _ in range(TRIES if fresh else 3):
             trial = descent.step(here, matrix + damping * metric, force, back)
             if trial is not None and trial.objective < here.objective:
                 found = trial
                 break
             damping *= 10.0
-        gain, ratio, used = 0.0, 0.0, damping
+        gain, ratio, stuck = 0.0, 0.0, found is None and fresh
         if found is not None:
             step = found.x - here.x
             gain = here.objective - found.objective
             ratio = gain / max(float(2.0 * force @ step - step @ matrix @ step), 1e-300)
-            damping = max(damping / 10.0, LEAST_DAMPING) if gain >= tolerance or not to_the_end else LEAST_DAMPING
+            damping *= 0.1 if ratio > GOOD else 1.0 if ratio > BAD else 3.0
+            damping = max(damping, LEAST_DAMPING)
             _broyden(jac, here, found, descent)
             here, fresh = found, False
-        promised = float(force @ np.linalg.solve(matrix, force)) if to_the_end and used > LEAST_DAMPING else 0.0
-        if ratio > POOR and (gain >= tolerance or promised >= tolerance):
+        promised = float(force @ np.linalg.solve(matrix, force)) if to_the_end else 0.0
+        if ratio > POOR and max(gain, promised) >= tolerance or gain >= tolerance and renewals <= 0:
             continue
-        if gain >= tolerance and renewals <= 0:
-            continue
-        if renewals <= 0 or (gain < tolerance and fresh) or (gain < tolerance and found is not None and ratio > POOR):
+        if renewals <= 0 or stuck or ratio > POOR:
             break
         jac, fresh, renewals = descent.jacobian(here), True, renewals - 1
+    if to_the_end and not fresh:
+        jac = descent.jacobian(here)
     return Fit(space, here.x, here.own, descent.away(here.own), here.objective, here.squares, descent.counts,
                here.residuals, here.predicted, jac, descent.information(here, jac), weighing, descent.nuisance,
                data.segment_run)

@@ -59,10 +59,10 @@ def test_joints_are_begun_stiff_on_a_rig_that_has_them_the_other_constants_at_no
     with predictions(runs_of(8301, "base", "inertia", 1.0)) as predictor:
         parent = base_fit(predictor)
         starts = rigid_starts(predictor, parent, candidates(predictor.data.rig))
-    assert [start.candidate.constant for start in starts] == list(JOINTS)
-    for start in starts:
+    assert [start.candidate.constant for start in starts] == [joint for joint in JOINTS for _ in RIGID]
+    for start, sigmas in zip(starts, RIGID * len(JOINTS), strict=True):
         logs = dict(zip(start.space.paths, start.space.logs(start.x), strict=True))
-        assert logs.pop(start.candidate.constant) == pytest.approx(RIGID * WIDE)
+        assert logs.pop(start.candidate.constant) == pytest.approx(sigmas * WIDE)
         assert np.allclose(list(logs.values()), 0.0, atol=1e-9)
 
 
