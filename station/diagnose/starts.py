@@ -27,7 +27,8 @@ from station.estimation.prediction import Predictor
 JOINTS = ("drive.stiffness", "clamp.stiffness")
 """Constants of which a rig's own may be as good as infinite."""
 RIGID = (1.5, 3.0)
-"""Sigmas of a free constant's prior above nominal from which fits of such a joint begin: 9 and 90 times as stiff."""
+"""Sigmas of a free constant's prior above nominal from which fits of such a joint begin: 9 and 90 times as stiff; beside
+another cause the last one alone."""
 AWAY = np.arange(-6, 7) / 2.0
 """Sigmas of that prior from nominal at which the objective is worked out: steps of a factor of 2.1."""
 SECONDS = BEGINNINGS[1]
@@ -63,7 +64,8 @@ def rigid_starts(predictor: Predictor, parent: Fit, pool: Sequence[Candidate]) -
             space = parameters(predictor.data, parent.space.hypothesis + candidate.hypothesis,
                                parent.space.values(parent.space.mean))
             x = space.carried(parent.space, parent.x)
-            found += [Start(candidate, space, _placed(space, candidate, sigmas, x), parent.own) for sigmas in RIGID]
+            found += [Start(candidate, space, _placed(space, candidate, sigmas, x), parent.own)
+                      for sigmas in (RIGID[-1:] if parent.key else RIGID)]
     return found
 
 

@@ -430,7 +430,7 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
                 found = trial
                 break
             damping *= 10.0
-        gain, ratio, stuck = 0.0, 0.0, found is None and fresh
+        gain, ratio, at_hand = 0.0, 0.0, fresh
         if found is not None:
             step = found.x - here.x
             gain = here.objective - found.objective
@@ -442,7 +442,7 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
         promised = float(force @ np.linalg.solve(matrix, force)) if to_the_end else 0.0
         if ratio > POOR and max(gain, promised) >= tolerance or gain >= tolerance and renewals <= 0:
             continue
-        if renewals <= 0 or stuck or ratio > POOR:
+        if renewals <= 0 or ratio > POOR or at_hand and gain < tolerance:
             break
         jac, fresh, renewals = descent.jacobian(here), True, renewals - 1
     if to_the_end and not fresh:

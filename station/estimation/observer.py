@@ -50,6 +50,9 @@ class Observer:
 
     def modal(self, model: Model) -> np.ndarray:
         """(2 b) the gains on another rig's modes: of its own length and mesh, the correction as a shape the same."""
+        return _modal(self, model)  # the same for all runs of a rig
+
+    def _on(self, model: Model) -> np.ndarray:
         half = self.state.reshape(2, -1)
         if model.rig.beam is None:
             return model.form.inverse @ half.ravel()
@@ -60,6 +63,11 @@ class Observer:
         found = np.concatenate([half[:, : at - 1], shape], axis=1)
         found[:, model.assembly.nodes] *= model.rig.beam.length
         return model.form.inverse @ found.ravel()
+
+
+@functools.lru_cache(maxsize=64)
+def _modal(observer: Observer, model: Model) -> np.ndarray:
+    return observer._on(model)
 
 
 def observers(rig: Rig, noise: float, horizons: Sequence[float] = HORIZONS) -> tuple[Observer, ...]:

@@ -49,7 +49,7 @@ class Simulation:
     """(n, elements + 1) deflection of the beam's nodes in the inertial frame, m; only where asked for."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Model:
     """A rig made ready for the stepper; independent of any run."""
 
