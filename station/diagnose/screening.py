@@ -14,6 +14,7 @@ from itertools import combinations
 import numpy as np
 
 from station.diagnose.candidates import Candidate
+from station.estimation.dataset import SEVERAL
 from station.estimation.least_squares import Fit
 from station.estimation.parameters import Parameters, Sizes, parameters
 from station.estimation.prediction import Predictor
@@ -23,6 +24,8 @@ LINEAR = 3.0
 """Multiple of a guess up to which the first order is believed; beyond it the gain grows in proportion only."""
 STRONG = 100.0
 """Information of a guess (its size over the error's, squared) from which on a smaller one is looked at, too."""
+BIAS = ("command_bias", "amplifier")
+"""The cause that is what runs may have of their own, where all have the same of it."""
 PAIRED = 8
 """Causes that are looked at in pairs: those that promise most."""
 
@@ -39,6 +42,8 @@ class Screened:
     """Multiple of the guess that gives it."""
     information: float
     """Fall that the guess itself would make visible."""
+    shared: float = 0.0
+    """Counts of command that the parent took for what runs differ by, and this cause for what they share."""
 
     @property
     def start(self) -> Sizes:
@@ -147,7 +152,22 @@ def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
         elif candidate.effect.stage is Stage.CLOCK and clock is not None:
             ratio, error = clock
             found.append(Screened(candidate, {"ratio": ratio}, ((ratio - 1.0) / error) ** 2, 1.0, error**-2))
+    found += _shared(parent, pool)
     return sorted(found, key=lambda s: -s.gain), _pairs(known, rows)
+
+
+def _shared(parent: Fit, pool: Sequence[Candidate]) -> list[Screened]:
+    """A bias that all runs share, where the parent let every run have its own.
+
+    R constants a_r, normal about a mean m instead of about 0, are more likely by 2 ln L = R ln(sum a^2/sum (a - m)^2),
+    each by its own most likely spread.  From the predictions this is not seen: they stay as they are.
+    """
+    constants = parent.own[:, 3]
+    mean, spread = float(np.mean(constants)), float(np.var(constants))
+    if len(constants) < SEVERAL or spread <= 0.0:
+        return []
+    gain = len(constants) * math.log1p(mean * mean / spread)
+    return [Screened(c, {"offset": mean}, gain, 1.0, 0.0, mean) for c in pool if c.key == BIAS]
 
 
 def _screened(candidate: Candidate, guess: dict[str, float], s: float, b: float) -> Screened:

@@ -198,12 +198,14 @@ def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened]) -> Fit |
     """A parent's hypothesis with further causes, a few steps from where screening put them; None where it is lost."""
     hypothesis, centres = parent.space.hypothesis, parent.space.values(parent.space.mean)
     first: Sizes = {}
+    own = parent.own.copy()
     for one in start:
+        own[:, 3] -= one.shared
         hypothesis, centres, first = (hypothesis + one.candidate.hypothesis, {**centres, **one.centre},
                                       {**first, **one.start})
     space = parameters(predictor.data, hypothesis, centres)
     with suppress(*LOST):
-        return fit(predictor, space, parent.weighing, space.carried(parent.space, parent.x, first), parent.own,
+        return fit(predictor, space, parent.weighing, space.carried(parent.space, parent.x, first), own,
                    jacobian=inherited(parent, space), parallel=False, renewals=0, first=FAR,
                    iterations=QUICK_STEPS, tolerance=0.5).light
     return None

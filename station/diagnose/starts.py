@@ -27,8 +27,8 @@ from station.estimation.prediction import Predictor
 JOINTS = ("drive.stiffness", "clamp.stiffness")
 """Constants of which a rig's own may be as good as infinite."""
 RIGID = (1.5, 3.0)
-"""Sigmas of a free constant's prior above nominal from which fits of such a joint begin: 9 and 90 times as stiff; beside
-another cause the last one alone."""
+"""Sigmas of a free constant's prior above nominal from which fits of such a joint begin: 9 and 90 times as stiff;
+beside another cause the last alone."""
 AWAY = np.arange(-6, 7) / 2.0
 """Sigmas of that prior from nominal at which the objective is worked out: steps of a factor of 2.1."""
 SECONDS = BEGINNINGS[1]

@@ -1,6 +1,7 @@
 """Diagnosis on rigs that lack parts, down to a rigid axis with an encoder: hidden effects by the independent generator.
 
-Four runs each, quick effort, seeds 8000 to 8049; the method was not developed on them.
+Four runs each, quick effort, seeds 8000 to 8049; the method was not developed on them, but for the bias that all runs
+share.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from station.rig import Rig
 from station.view.recording import write_recording
 from station.view.report import write_report
 from tests.truth import RIGID_AXIS, SFLR, TWO_MASS, Case, effect_names, make_case
+from tests.truth.cases import multisine_test, step_test, sweep_test
 
 SEVERITY = (400.0, 1e5)
 TABLES = {"axis": RIGID_AXIS, "two-mass": TWO_MASS,
@@ -59,6 +61,21 @@ def test_a_clean_rig_is_not_accused(shape, seed):
     result = found(shape, seed)
     assert result.diagnosis.verdict == "nothing_missing" and not result.diagnosis.causes
     assert {picture.kind for picture in result.evidence} >= {"time", "speed", "angle", "command", "spectrum"}
+
+
+def test_friction_and_a_bias_that_all_runs_share_are_named_under_a_cascade():
+    """Every run may have a bias of its own, which explains as much: four that are the same are one cause."""
+    tests = [multisine_test(500.0, 120.0, 5, controller="cascade"), multisine_test(500.0, 80.0, 7, controller="cascade"),
+             sweep_test(500.0, 90.0, 0.2, 3.0, 6.0, "cascade"), step_test(500.0, "cascade", 150.0)]
+    bias = {"effect": "command_bias", "at": "amplifier", "offset": 1.5}
+    friction = {"effect": "coulomb_friction", "at": "motor", "torque": 0.08}
+    hidden = make_case(8023, [friction, bias], tests=tests, nominal=RIGID_AXIS, band=None)
+    diagnosis = diagnose(Rig.model_validate(RIGID_AXIS), hidden.runs, effort="quick").diagnosis
+    named = {cause.effect: cause for cause in diagnosis.causes}
+    assert set(named) == {"coulomb_friction", "command_bias"} and diagnosis.verdict == "explained"
+    assert named["command_bias"].parameters["offset"].value == pytest.approx(1.5, rel=0.02)
+    assert named["coulomb_friction"].parameters["torque"].low < 0.08 < named["coulomb_friction"].parameters["torque"].high
+    assert diagnosis.between_runs.constant is None
 
 
 def test_late_command_and_late_encoder_are_the_same_on_an_axis_with_an_encoder_alone():
