@@ -100,6 +100,11 @@ class Selection:
         """The set of causes with the highest posterior."""
         return max(self.fits.values(), key=self.score)
 
+    def close(self, most: int) -> list[Fit]:
+        """The likeliest sets, not more than ``most``, within CLOSE of the best."""
+        ranked = sorted(self.fits.values(), key=lambda f: -self.score(f))
+        return [f for f in ranked if self.score(f) > self.score(ranked[0]) - CLOSE][:most]
+
     def keep(self, found: Fit) -> None:
         """Remember a fit; of the same causes the better one."""
         old = self.fits.get(found.key)
@@ -130,9 +135,11 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
         best = search.best()
         if best.key == parent.key:
             break
+        rivals = search.close(1 + effort.finished)[1:]
         best = settled(predictor, best)
         search.weigh(best)
         search.keep(best)
+        _refit(search, rivals, False)  # as the best was: where the weighing changed theirs are not comparable
         _look_back(search, best)
         _look_around(search, best, pool)
         parent = _with_derivatives(search, search.best())
@@ -305,8 +312,7 @@ def _finish(search: Selection) -> None:
     """Fit the best set and its close rivals to the end under the best's weighing: none loses by where it ended."""
     for _ in range(2):
         best = search.best()
-        ranked = sorted(search.fits.values(), key=lambda f: -search.score(f))
-        close = [f for f in ranked if search.score(f) > search.score(best) - CLOSE][: 2 * search.effort.finished]
+        close = search.close(2 * search.effort.finished)
         subsets = [f for f in search.fits.values() if f.key < best.key and f not in close]
         _refit(search, [*close, *subsets], True)
         if search.best().key == best.key:

@@ -65,8 +65,9 @@ def test_a_clean_rig_is_not_accused(shape, seed):
 
 def test_friction_and_a_bias_that_all_runs_share_are_named_under_a_cascade():
     """Every run may have a bias of its own, which explains as much: four that are the same are one cause."""
-    tests = [multisine_test(500.0, 120.0, 5, controller="cascade"), multisine_test(500.0, 80.0, 7, controller="cascade"),
-             sweep_test(500.0, 90.0, 0.2, 3.0, 6.0, "cascade"), step_test(500.0, "cascade", 150.0)]
+    loop = "cascade"
+    tests = [multisine_test(500.0, 120.0, 5, controller=loop), multisine_test(500.0, 80.0, 7, controller=loop),
+             sweep_test(500.0, 90.0, 0.2, 3.0, 6.0, loop), step_test(500.0, loop, 150.0)]
     bias = {"effect": "command_bias", "at": "amplifier", "offset": 1.5}
     friction = {"effect": "coulomb_friction", "at": "motor", "torque": 0.08}
     hidden = make_case(8023, [friction, bias], tests=tests, nominal=RIGID_AXIS, band=None)
@@ -74,7 +75,8 @@ def test_friction_and_a_bias_that_all_runs_share_are_named_under_a_cascade():
     named = {cause.effect: cause for cause in diagnosis.causes}
     assert set(named) == {"coulomb_friction", "command_bias"} and diagnosis.verdict == "explained"
     assert named["command_bias"].parameters["offset"].value == pytest.approx(1.5, rel=0.02)
-    assert named["coulomb_friction"].parameters["torque"].low < 0.08 < named["coulomb_friction"].parameters["torque"].high
+    torque = named["coulomb_friction"].parameters["torque"]
+    assert torque.low < 0.08 < torque.high
     assert diagnosis.between_runs.constant is None
 
 
