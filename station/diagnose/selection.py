@@ -105,10 +105,11 @@ class Selection:
         ranked = sorted(self.fits.values(), key=lambda f: -self.score(f))
         return [f for f in ranked if self.score(f) > self.score(ranked[0]) - CLOSE][:most]
 
-    def keep(self, found: Fit) -> None:
-        """Remember a fit; of the same causes the better one."""
+    def keep(self, found: Fit, begun_at: Fit | None = None) -> None:
+        """Remember a fit; of the same causes the better one, but never ``begun_at``, from where this one was fitted on:
+        what a step promised there has been tried since."""
         old = self.fits.get(found.key)
-        if old is None or self.score(found) > self.score(old):
+        if old is None or old is begun_at or self.score(found) > self.score(old):
             self.fits[found.key] = found.light
 
     def weigh(self, found: Fit) -> None:
@@ -152,7 +153,7 @@ def _with_derivatives(search: Selection, found: Fit) -> Fit:
     """The same set, fitted under the weighing in force, with derivatives to hand on."""
     space, x = centred(search.predictor, found)
     again = fit(search.predictor, space, search.own_weighing(found), x, found.own)
-    search.keep(again)
+    search.keep(again, found)
     return again
 
 
@@ -248,9 +249,10 @@ def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
                        to_the_end=to_the_end).light
         return None
 
-    for k, found in enumerate(search.predictor.pool.map(again, list(fits))):
+    fits = list(fits)
+    for k, (old, found) in enumerate(zip(fits, search.predictor.pool.map(again, fits), strict=True)):
         if found is not None:
-            search.keep(found)
+            search.keep(found, old)
             told(k, found.space.hypothesis.label)
 
 
@@ -310,11 +312,11 @@ def fitted(search: Selection, causes: Causes, whole: Causes) -> Fit:
 
 def _finish(search: Selection) -> None:
     """Fit the best set and its close rivals to the end under the best's weighing: none loses by where it ended."""
-    for _ in range(2):
+    for last in (False, True):
         best = search.best()
         close = search.close(2 * search.effort.finished)
         subsets = [f for f in search.fits.values() if f.key < best.key and f not in close]
         _refit(search, [*close, *subsets], True)
-        if search.best().key == best.key:
+        if last or search.best().key == best.key:
             break
         search.weigh(search.best())

@@ -64,5 +64,23 @@ def test_of_two_fits_of_the_same_causes_the_better_one_is_kept_and_the_best_set_
     assert search.best().key == frozenset()
 
 
+def test_a_fit_that_went_on_from_another_stands_in_its_place_whatever_that_promised() -> None:
+    search = searching()
+    search.keep(promising := found(30.0, FRICTION))
+    search.keep(gone_on := found(25.0, FRICTION), promising)
+    assert search.fits[gone_on.key] is gone_on
+    search.keep(found(20.0, FRICTION), promising)
+    assert search.fits[gone_on.key] is gone_on
+
+
+def test_the_likeliest_sets_are_close_down_to_a_limit_and_a_number() -> None:
+    search = searching()
+    for evidence, effects in ((30.0, (FRICTION,)), (20.0, ()), (40.0, (FRICTION, CLOCK)), (3.0, (CLOCK,))):
+        search.keep(found(evidence, *effects))
+    assert [f.key for f in search.close(9)] == [{("coulomb_friction", "motor"), ("clock_scale", "")},
+                                                {("coulomb_friction", "motor")}, frozenset()]
+    assert len(search.close(2)) == 2
+
+
 def test_an_evidence_that_is_no_number_never_wins() -> None:
     assert searching().score(found(float("nan"))) == -np.inf
