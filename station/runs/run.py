@@ -223,11 +223,13 @@ class Run:
         times on a straight line between their neighbours, and a 1 in the extra column ``lost``.
 
         ``rate``: of the rig's ticks, Hz.  A log of every other one is spread over them; the commands between its rows
-        were sent, so that they, too, are put on the straight line.  A run without gaps is itself.  WorkError where more
+        were sent, and are worked out (``half_rate``).  A run without gaps is itself.  WorkError where more
         ticks are lost than logged.
         """
         if rate is not None and abs(2.0 * self.sample_rate / rate - 1.0) <= RATES:
-            return self._spread()
+            from station.runs.half_rate import spread  # works commands out again, which needs runs
+
+            return spread(self)
         if not self.lost_samples:
             return self
         if self.lost_samples > len(self):
@@ -240,18 +242,6 @@ class Run:
         for column in COLUMNS:
             if column.gaps and column.name in found:
                 found[column.name] = np.where(lost, np.nan, found[column.name])
-        return Run.from_columns(self.name, self.name, found | {"n": ticks, LOST: lost.astype(float)}, self.metadata)
-
-    def _spread(self) -> Run:
-        """The same with a lost row after every row but the last."""
-        run = self.filled()
-        rows, ticks = np.arange(len(run)), np.arange(2 * len(run) - 1)
-        found = {name: np.interp(0.5 * ticks, rows, values) if name in BETWEEN or name in SENT else values[ticks // 2]
-                 for name, values in run.columns().items()}
-        for column in COLUMNS:
-            if column.gaps and column.name in found:
-                found[column.name] = np.where(ticks % 2 == 1, np.nan, found[column.name])
-        lost = (ticks % 2 == 1) | ~run.logged[ticks // 2]
         return Run.from_columns(self.name, self.name, found | {"n": ticks, LOST: lost.astype(float)}, self.metadata)
 
     def slice(self, start: int, stop: int | None = None) -> Run:
