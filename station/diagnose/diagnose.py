@@ -101,7 +101,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     bought = gain(data, names, before, after, ahead)
     unseen = left_out[frozenset()], left_out[said.causes]
     against = contradicted(unseen_gains(search.weighing, *unseen), relief(*unseen))
-    values, constants = estimates(best, chosen)
+    values, constants = estimates(best, chosen, left_out[said.causes])
     known = standing(data, said.causes, best.space.rig_at(best.x))
     told = completed(found, said.causes, known) if said.causes in dict(found.sets) else found
     decision = verdict(said, told, search.screened, left.is_noise, against, known)

@@ -162,10 +162,13 @@ def is_beyond(search: Selection, found: Fit, key: Key) -> bool:
     return deviation(found, {p: rig.sigma(p) for p in paths}, rig.log_covariance(paths), path) > BEYOND
 
 
-def estimates(found: Fit, rougher: Fit | None = None) -> tuple[dict[Key, dict[str, Estimate]], dict[str, Estimate]]:
+def estimates(found: Fit, rougher: Fit | None = None, left_out: Sequence[Fit] = (),
+              ) -> tuple[dict[Key, dict[str, Estimate]], dict[str, Estimate]]:
     """Fitted parameters of each cause, and the rig's constants, with 95 % intervals.
 
-    A cause's parameters are known no better than runs agree in them (``spread``).
+    A cause's parameters are known no better than runs agree in them (``spread``), nor than they stay where they are
+    when run after run is left out (``left_out``: R fits, one without each): by the jackknife their variance is at least
+    (R - 1)/R sum (x_r - mean)^2, whatever the errors are like (Efron and Stein, Ann. Stat. 9, 1981).
     ``rougher``: the same set fitted with coarser simulations; how far it lies from ``found`` is what the simulation's
     own steps leave uncertain, and is added to the variance.
     """
@@ -174,6 +177,11 @@ def estimates(found: Fit, rougher: Fit | None = None) -> tuple[dict[Key, dict[st
     found_states = parameter_states(space, covariance, found.x)
     n = len(space.paths)
     nominal = space.rig.constants()
+    without = np.array([one.x for one in left_out if one.x.size == space.size])
+
+    def jackknife(direction: np.ndarray) -> float:
+        values = without @ direction if len(without) >= SEVERAL else np.zeros(1)
+        return math.sqrt((len(values) - 1) * float(np.var(values)))
     log_sd = np.sqrt(np.diag(space.root @ covariance[:n, :n] @ space.root.T) + (space.root @ shift[:n]) ** 2)
     constants = {}
     per_log = np.linalg.inv(space.root)
@@ -182,7 +190,8 @@ def estimates(found: Fit, rougher: Fit | None = None) -> tuple[dict[Key, dict[st
         if path in space.hypothesis.constants:
             seen = _between(found, np.append(per_log[:, i], np.zeros(space.size - n)))
             own = space.root[i] @ seen.covariance[:n, :n] @ space.root[i]
-            deviation, between = math.hypot(math.sqrt(own), space.root[i] @ shift[:n]), _told(seen, value)
+            own = max(math.sqrt(own), jackknife(np.append(space.root[i], np.zeros(space.size - n))))
+            deviation, between = math.hypot(own, space.root[i] @ shift[:n]), _told(seen, value)
         times = math.exp(1.96 * deviation)
         least, most = sorted((value / times, value * times))
         constants[path] = Estimate(value=value, low=least, high=most, unit=UNITS[path],
@@ -191,7 +200,7 @@ def estimates(found: Fit, rougher: Fit | None = None) -> tuple[dict[Key, dict[st
     for k, coordinate in enumerate(space.coordinates, space.parts["effects"].start):
         cls, at = space.hypothesis.effects[coordinate.effect]
         seen = _between(found, np.eye(space.size)[k])
-        deviation = math.hypot(math.sqrt(seen.covariance[k, k]), shift[k])
+        deviation = math.hypot(max(math.sqrt(seen.covariance[k, k]), jackknife(np.eye(space.size)[k])), shift[k])
         low, value, high = (found.x[k] + s * 1.96 * deviation for s in (-1.0, 0.0, 1.0))
         ends = (coordinate.to_value(low), coordinate.to_value(value), coordinate.to_value(high))
         if coordinate.info.periodic and (high - low) * coordinate.scale >= 2.0 * math.pi:
