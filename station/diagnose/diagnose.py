@@ -35,12 +35,13 @@ from station.diagnose.validation import (
     contradicted,
     gain,
     leave_each_out,
+    log_densities,
     predicted_ahead,
     relief,
     simulate_runs,
     simulate_unseen,
+    standard_error,
     unseen_gain,
-    unseen_gains,
 )
 from station.diagnose.verdict import Stated, stated, verdict
 from station.errors import UsageError, WorkError
@@ -100,7 +101,9 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     ahead = (predicted_ahead(predictor, nothing, nominal=True), predicted_ahead(predictor, left_out[said.causes]))
     bought = gain(data, names, before, after, ahead)
     unseen = left_out[frozenset()], left_out[said.causes]
-    against = contradicted(unseen_gains(search.weighing, *unseen), relief(*unseen))
+    densities = {keys: log_densities(predictor, search.weighing, fits) for keys, fits in left_out.items()}
+    gains, relieved = densities[said.causes] - densities[frozenset()], relief(*unseen)
+    against = contradicted(gains, relieved)
     values, constants = estimates(best, chosen, left_out[said.causes])
     known = standing(data, said.causes, best.space.rig_at(best.x))
     told = completed(found, said.causes, known) if said.causes in dict(found.sets) else found
@@ -119,7 +122,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     report("choosing the next experiment", 0.96)
     choice = choose(search, found, decision)
     decided = decision in ("explained", "nothing_missing") and len(given) >= FEW
-    ranking = _ranking(search, told, left_out)
+    ranking = _ranking(search, told, densities)
     share, constant = differences(chosen, search.weighing, VARIES)
     differing = [] if share is None and constant is None else [
         OwnOfRun(run=name, share=own[2], constant=own[3]) for name, own in zip(names, best.own.tolist(), strict=True)]
@@ -135,7 +138,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     pictures = evidence(refit_rig, extended, drawn, [(c.effect, c.at) for c in causes]) if drawn else []
     report("done", 1.0)
     return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, ranking, pictures, constants,
-                           _notes(rig, search, left, said, spoken), 0.0, choice.plan, choice.unseen, choice.prediction,
+                           _notes(rig, search, left, said, spoken, gains + relieved / len(gains)), 0.0, choice.plan, choice.unseen, choice.prediction,
                            [row.equivalence.sentence for row in known] if causes else [])
 
 
@@ -219,7 +222,7 @@ def _wrong(runs: Sequence[Run], before: Sequence[Simulation], noise: Sequence[fl
     return [wrong for _, wrong in sorted(found, key=lambda row: -row[0])]
 
 
-def _ranking(search: Selection, found: Odds, left_out: dict[Causes, list[Fit]]) -> list[RankedCause]:
+def _ranking(search: Selection, found: Odds, densities: dict[Causes, np.ndarray]) -> list[RankedCause]:
     """Every cause that was fitted, by probability, then by how much it bought alone."""
     nothing = search.fits[frozenset()]
     rows = []
@@ -230,9 +233,8 @@ def _ranking(search: Selection, found: Odds, left_out: dict[Causes, list[Fit]]) 
             rows.append(RankedCause(key[0], key[1], found.causes.get(key, 0.0), 0.0, None, {}, "by an equivalence"))
             continue
         fitted = search.fits[holders[0]]
-        gained = (unseen_gain(search.weighing,
-                              unseen_gains(search.weighing, left_out[frozenset()], left_out[holders[0]]))
-                  if holders[0] in left_out and holders[0] else None)
+        gained = (unseen_gain(search.weighing, densities[holders[0]] - densities[frozenset()])
+                  if holders[0] in densities and holders[0] else None)
         bought = 2.0 * (search.evidence(fitted) - search.evidence(nothing))
         rows.append(RankedCause(key[0], key[1], found.causes.get(key, 0.0), bought, gained,
                                 estimates(fitted)[0].get(key, {}),
@@ -254,12 +256,15 @@ def _disturbance(predictor: Predictor, rigs: Sequence[Rig]) -> Disturbance:
     return Disturbance(nominal=nominal, refitted=refitted, extended=extended)
 
 
-def _notes(rig: Rig, search: Selection, left: Remainder, said: Stated, spoken: Odds) -> list[str]:
+def _notes(rig: Rig, search: Selection, left: Remainder, said: Stated, spoken: Odds, gains: np.ndarray) -> list[str]:
     data = search.predictor.data
     notes = [f"{len(search.fits)} sets of causes fitted to {len(data.runs)} runs",
              f"noise at rest: encoder {data.noise[0]:.2f}, accelerometer {data.noise[1]:.2f} counts",
              f"temperature of the likelihood: {search.weighing.temperature:.2f}; independent errors: "
              f"{search.weighing.independent.sum():.0f} of {data.counts.sum():.0f}"]
+    if said.causes:
+        notes.append(f"log density of runs left out, constants' included, by the causes: {gains.sum():+.1f}, standard "
+                     f"error {standard_error(gains):.1f}")
     unstable = sorted(spoken.sets[0][0] - said.causes)
     if unstable:
         notes.append("in the best set but not stated, for too few resamples name them: "

@@ -29,5 +29,9 @@ does not (half of chi squared with one degree of freedom; Self and Liang, J. Am.
 NOISE = 6.0
 """z-score of what is left, over runs and channels, beyond which it is no noise: five sigma and one for non-Gaussian
 rounding."""
+UNSEEN = 1.0
+"""Standard errors by which runs left out must be met better with causes than without, where more than noise is left: of
+rules that predict alike within the error of the comparison the simpler one is taken (Hastie, Tibshirani and Friedman,
+The Elements of Statistical Learning, 2nd ed. 2009, section 7.10)."""
 FEW = 3
 """Runs below which even a settled verdict asks for another test."""

@@ -10,9 +10,10 @@ import numpy as np
 
 from station.diagnose.measures import floor, nrmse, step_measures
 from station.diagnose.result import ChannelGain, Gain, RunGain
+from station.diagnose.thresholds import UNSEEN
 from station.estimation.dataset import Dataset
 from station.estimation.least_squares import LOST, Fit, fit, own_steps
-from station.estimation.likelihood import Weighing, nuisance_precision, rho
+from station.estimation.likelihood import Weighing, cost, nuisance_precision
 from station.estimation.observer import observers
 from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor, angle_that_reads, predict_run
@@ -23,6 +24,8 @@ AHEAD = (0.1, 1.0)
 UNKNOWN_AHEAD = 0.5
 """The same where a run's controller is unknown, so that no whole closed loop can be simulated."""
 CHANNELS = ("encoder", "accel")
+OWN_STEPS = 8
+"""Most steps to what a run has of its own."""
 
 
 def whole_run(data: Dataset, model: Model, run: int, own: np.ndarray, *, rounding: bool = True,
@@ -126,21 +129,60 @@ def predicted_ahead(predictor: Predictor, fits: Sequence[Fit] | Fit, nominal: bo
     return list(predictor.pool.map(one, range(len(data.runs))))
 
 
-def unseen_gains(weighing: Weighing, without: Sequence[Fit], found: Sequence[Fit]) -> np.ndarray:
-    """(runs) by how much causes raise the log likelihood of each run, by fits that leave run after run out.
+def log_density(predictor: Predictor, weighing: Weighing, left: Fit, run: int) -> float:
+    """ln of the density that a fit, which left a run out, predicts of that run, up to a number that all fits share.
 
-    The expected log predictive density of Vehtari, Gelman and Gabry, Stat. Comput. 27, 2017; ``likelihood``'s, before
-    it is tempered: beyond the noise the logarithm of the errors, block by block, each by the independent errors that
-    it holds.
+    What the run has of its own is nobody else's, and is integrated out: about its most likely values, by Laplace's
+    approximation (a log pointwise predictive density: Vehtari, Gelman and Gabry, Stat. Comput. 27, 2017, of a group of
+    data with parameters of its own).
     """
-    return np.array([0.5 * float(weighing.independent[r] @ (rho(before.squares[r] / before.counts[r])
-                                                            - rho(after.squares[r] / after.counts[r])))
-                     for r, (before, after) in enumerate(zip(without, found, strict=True))])
+    data = predictor.data
+    model, scale, measured = predictor.model(left.space, left.x), predictor.scale(run), predictor.measured(run)
+    counts, independent = predictor.counts[run], weighing.independent[run]
+    prior, first, steps = left.own_precision(left.weighing.differ)[run], data.own[run][data.free], own_steps(data)
+
+    def errors(own: np.ndarray) -> np.ndarray:
+        return (measured - predictor.run(model, left.space, left.x, run, own)) * scale
+
+    def surprise(e: np.ndarray, own: np.ndarray) -> float:
+        return (cost(np.sum(e * e, axis=1), counts, independent) / weighing.temperature
+                + float(prior @ (own[data.free] - first) ** 2))
+
+    own = left.own[run].copy()
+    here = errors(own)
+    value = surprise(here, own)
+    for _ in range(OWN_STEPS):
+        columns = np.stack([(here - errors(own + steps * (np.arange(4) == k))) / steps[k] for k in data.free])
+        weights = independent / np.maximum(np.sum(here * here, axis=1), counts) / weighing.temperature
+        matrix = np.einsum("ibn,b,jbn->ij", columns, weights, columns) + np.diag(prior)
+        step = np.linalg.solve(matrix, np.einsum("ibn,b,bn->i", columns, weights, here)
+                               - prior * (own[data.free] - first))
+        for share in (1.0, 0.3, 0.1):
+            moved = own.copy()
+            moved[data.free] += share * step
+            moved[0] = np.clip(moved[0], data.own[run, 0] - data.rig.angle_per_count,
+                               data.own[run, 0] + data.rig.angle_per_count)
+            there = errors(moved)
+            fell = value - surprise(there, moved)
+            if fell > 0.0:
+                own, here, value = moved, there, value - fell
+                break
+        if not fell > 0.1:
+            break
+    return -0.5 * (value + float(np.linalg.slogdet(matrix)[1]) - float(np.sum(np.log(prior))))
+
+
+def log_densities(predictor: Predictor, weighing: Weighing, left_out: Sequence[Fit]) -> np.ndarray:
+    """(runs) of every run by the fit that left it out."""
+    return np.array(list(predictor.pool.map(lambda r: log_density(predictor, weighing, left_out[r], r),
+                                            range(len(left_out)))))
 
 
 def unseen_gain(weighing: Weighing, gains: np.ndarray) -> float:
-    """The same (runs) as a share of the errors of unseen runs: 1 - exp(-gain per independent error)."""
-    return -math.expm1(-float(gains.sum()) / max(float(weighing.independent.sum()), 1e-300))
+    """What causes raise the log densities of unseen runs by (runs), as a share of their errors: 1 - exp(-gain per
+    independent error)."""
+    independent = float(weighing.independent.sum()) / weighing.temperature
+    return -math.expm1(-float(gains.sum()) / max(independent, 1e-300))
 
 
 def relief(without: Sequence[Fit], found: Sequence[Fit]) -> float:
@@ -153,14 +195,19 @@ def relief(without: Sequence[Fit], found: Sequence[Fit]) -> float:
                           for before, after in zip(without, found, strict=True)]))
 
 
+def standard_error(gains: np.ndarray) -> float:
+    """Of the sum of what causes raise the log densities of unseen runs by (runs)."""
+    return math.sqrt(len(gains) * float(np.var(gains, ddof=1)))
+
+
 def contradicted(gains: np.ndarray, relieved: float) -> bool:
     """Whether unseen runs (gains, runs), with what the rig file states of its constants, speak against causes: together
-    they are met worse than by a refit alone.
+    they are not met better than by a refit alone by UNSEEN standard errors.
 
-    However small the loss: of rules that predict alike the simpler one is taken (Hastie, Tibshirani and Friedman,
-    section 7.10).
+    Of rules that predict as well, within the error of the comparison, the simpler one is taken (Hastie, Tibshirani and
+    Friedman, section 7.10).
     """
-    return float(gains.sum()) + relieved < 0.0
+    return float(gains.sum()) + relieved < UNSEEN * standard_error(gains)
 
 
 def gain(data: Dataset, names: Sequence[str], before: Sequence[Simulation], after: Sequence[Simulation],

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from station.estimation.dataset import beginning
-from station.estimation.least_squares import LOST, Fit, fit, weighing_of
+from station.estimation.least_squares import LARGEST, LOST, Fit, fit, weighing_of
 from station.estimation.likelihood import Weighing
 from station.estimation.parameters import Hypothesis, Parameters, parameters
 from station.estimation.prediction import FINE, Predictor
@@ -82,8 +82,12 @@ def searched(predictor: Predictor, space: Parameters, starts: int, seed: int,
 
 
 def unknown(predictor: Predictor) -> Weighing:
-    """What blocks count for before anything is known of the errors."""
-    return Weighing(BEGIN * predictor.counts, 1.0)
+    """What blocks count for before anything is known of the errors; runs may differ by as much as they ever do.
+
+    By how much they do is read off what a fit gives each run: off one that gives them nothing, nothing can be.
+    """
+    share, constant = LARGEST * np.array([1.0, predictor.data.rig.amplifier.limit])
+    return Weighing(BEGIN * predictor.counts, 1.0, (float(share), float(constant)))
 
 
 def settled(predictor: Predictor, found: Fit, rounds: int = 4) -> Fit:

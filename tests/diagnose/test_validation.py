@@ -9,39 +9,76 @@ import numpy as np
 import pytest
 
 from station.diagnose import validation as module
-from station.diagnose.validation import contradicted, leave_each_out, relief, unseen_gain, unseen_gains
+from station.diagnose.validation import contradicted, leave_each_out, log_density, relief, unseen_gain
 
-EVEN = SimpleNamespace(independent=np.ones((2, 2)))
-"""One independent error in each block of two runs."""
-
-
-def fits(*squares: list[list[float]]) -> list[SimpleNamespace]:
-    """Fits that leave one run after the other out; the noise alone would leave 1 in each block."""
-    return [SimpleNamespace(squares=np.array(rows), counts=np.ones((2, 2))) for rows in squares]
+ROWS = 200
+PRIOR = np.array([1e6, 0.04, 4.0, 0.25])
+"""Precisions of what a run has of its own: starting angle (known), offset, share, constant."""
 
 
-def test_a_gain_is_the_mean_over_blocks_of_errors_on_the_run_that_each_fit_left_out() -> None:
-    """Half the error in one run and the same in the other: 1 - 2^(-1/2); what the fits saw does not count."""
-    before = fits([[4.0, 4.0], [0.0, 0.0]], [[0.0, 0.0], [9.0, 9.0]])
-    after = fits([[1.0, 1.0], [77.0, 77.0]], [[77.0, 77.0], [9.0, 9.0]])
-    assert unseen_gain(EVEN, unseen_gains(EVEN, before, after)) == pytest.approx(1.0 - 0.5**0.5)
-    assert unseen_gain(EVEN, unseen_gains(EVEN, after, before)) == pytest.approx(1.0 - 2.0**0.5)
-    assert unseen_gain(EVEN, unseen_gains(EVEN, before, before)) == 0.0
+def predictor(errors: np.ndarray, columns: np.ndarray, sizes: tuple[float, ...] = (1.0, 1.0)) -> SimpleNamespace:
+    """Of a run with one channel that misses ``errors`` (n), less what the run has of its own (4) times ``columns``
+    (4, n)."""
+    data = SimpleNamespace(own=np.zeros((1, 4)), free=np.arange(4), rms_command=1.0,
+                           rig=SimpleNamespace(angle_per_count=1.0))
+    return SimpleNamespace(data=data, counts=np.array([[float(errors.size)]]), scale=lambda run: np.ones((1, errors.size)),
+                           measured=lambda run: errors[None], model=lambda space, x: None, pool=None,
+                           run=lambda model, space, x, run, own: (own @ columns)[None])
 
 
-def test_a_block_counts_for_the_independent_errors_that_it_holds() -> None:
-    """An error that is halved in ninety independent readings outweighs one that doubles in ten."""
-    weighing = SimpleNamespace(independent=np.array([[90.0, 10.0], [0.0, 0.0]]))
-    before = fits([[4.0, 4.0], [1.0, 1.0]], [[1.0, 1.0], [1.0, 1.0]])
-    after = fits([[1.0, 16.0], [1.0, 1.0]], [[1.0, 1.0], [1.0, 1.0]])
-    assert unseen_gain(weighing, unseen_gains(weighing, before, after)) == pytest.approx(1.0 - 2.0**-0.8)
+def left_out(own: np.ndarray = np.zeros(4)) -> SimpleNamespace:
+    """A fit that left the run out."""
+    return SimpleNamespace(space=SimpleNamespace(), x=np.zeros(1), own=own[None],
+                           weighing=SimpleNamespace(differ=(0.5, 2.0)), own_precision=lambda differ: PRIOR[None])
+
+
+def counted(independent: float, temperature: float = 1.0) -> SimpleNamespace:
+    return SimpleNamespace(independent=np.array([[independent]]), temperature=temperature)
+
+
+def waves(count: int, scale: float, seed: int) -> np.ndarray:
+    return scale * np.random.default_rng(seed).standard_normal((count, ROWS))
+
+
+def test_what_a_run_has_of_its_own_is_integrated_out_of_the_density_of_a_run_left_out() -> None:
+    """Within the noise the density is a normal one: errors e of unit variance plus own values of precision P times
+    columns C: N(0, I + C' P^-1 C)."""
+    columns = waves(4, 0.05, 1)
+    columns[0] = 0.0
+    errors = 0.8 * waves(1, 1.0, 2)[0] + np.array([0.0, 2.0, 0.3, -1.0]) @ columns
+    spread = np.eye(ROWS) + (columns.T / PRIOR) @ columns
+    wanted = -0.5 * float(errors @ np.linalg.solve(spread, errors) + np.linalg.slogdet(spread)[1])
+    found = log_density(predictor(errors, columns), counted(ROWS), left_out(), 0)
+    assert found == pytest.approx(wanted, abs=1e-3)
+    begun_elsewhere = log_density(predictor(errors, columns), counted(ROWS), left_out(np.array([0.0, 1.0, 1.0, 1.0])), 0)
+    assert begun_elsewhere == pytest.approx(wanted, abs=0.1)
+
+
+def test_a_bias_of_its_own_does_not_speak_against_what_meets_a_run_but_for_it() -> None:
+    """A bias that is a thousand times the noise, of a size that runs may have: of two models the one is better that
+    meets what is left, though both miss the run as it stands by the bias."""
+    columns = np.zeros((4, ROWS))
+    columns[3] = np.linspace(0.0, 60.0, ROWS)
+    left = waves(1, 1.0, 3)[0]
+    close, far = (log_density(predictor(2.0 * columns[3] + size * left, columns), counted(50.0), left_out(), 0)
+                  for size in (1.0, 4.0))
+    assert close - far == pytest.approx(0.5 * 50.0 * np.log(16.0), rel=0.1)
+
+
+def test_temperature_tones_a_density_down() -> None:
+    columns = np.zeros((4, ROWS))
+    before, after = (log_density(predictor(size * waves(1, 1.0, 4)[0], columns), counted(50.0, 2.0), left_out(), 0)
+                     for size in (8.0, 2.0))
+    assert after - before == pytest.approx(0.5 * 25.0 * np.log(16.0), rel=1e-6)
+    assert unseen_gain(counted(50.0, 2.0), np.array([after - before])) == pytest.approx(0.75)
 
 
 @pytest.mark.parametrize(("gains", "relieved", "wanted"), [
-    ([-3.0, -3.1, -2.9], 0.0, True), ([-9.0, 4.0, 3.0], 0.0, True), ([-9.0, 4.0, 6.0], 0.0, False),
-    ([1.0, 2.0], 0.0, False), ([-0.2, 0.1, 0.0], 12.0, False), ([1.0, 1.0, 0.0], -2.7, True)])
-def test_unseen_runs_speak_against_causes_where_they_are_met_worse_on_the_whole(gains: list[float], relieved: float,
-                                                                                wanted: bool) -> None:
+    ([-3.0, -3.1, -2.9], 0.0, True), ([-9.0, 4.0, 3.0], 0.0, True), ([-9.0, 4.0, 6.0], 0.0, True),
+    ([9.0, 4.0, -6.0], 0.0, True), ([9.0, 4.0, -1.0], 0.0, False), ([1.0, 2.0], 0.0, False),
+    ([-0.2, 0.1, 0.0], 12.0, False), ([1.0, 1.0, 0.0], -2.7, True)])
+def test_unseen_runs_speak_against_causes_that_do_not_help_by_more_than_the_error_of_the_comparison(
+        gains: list[float], relieved: float, wanted: bool) -> None:
     assert contradicted(np.array(gains), relieved) is wanted
 
 
