@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.stats import t as student
 
 from station.diagnose.result import Estimate
 from station.diagnose.selection import Selection
@@ -28,6 +29,8 @@ from station.model.units import UNITS
 
 RESAMPLES = 100
 SEED = 20240229
+NORMAL = 1.96
+"""Standard deviations that bound 95 % of a normal distribution."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +171,8 @@ def estimates(found: Fit, rougher: Fit | None = None, left_out: Sequence[Fit] = 
 
     A cause's parameters are known no better than runs agree in them (``spread``), nor than they stay where they are
     when run after run is left out (``left_out``: R fits, one without each): by the jackknife their variance is at least
-    (R - 1)/R sum (x_r - mean)^2, whatever the errors are like (Efron and Stein, Ann. Stat. 9, 1981).
+    (R - 1)/R sum (x_r - mean)^2, whatever the errors are like (Efron and Stein, Ann. Stat. 9, 1981), itself known to
+    R - 1 degrees of freedom (Student's t in place of the normal: Tukey, Ann. Math. Stat. 29, 1958, p. 614).
     ``rougher``: the same set fitted with coarser simulations; how far it lies from ``found`` is what the simulation's
     own steps leave uncertain, and is added to the variance.
     """
@@ -181,7 +185,8 @@ def estimates(found: Fit, rougher: Fit | None = None, left_out: Sequence[Fit] = 
 
     def jackknife(direction: np.ndarray) -> float:
         values = without @ direction if len(without) >= SEVERAL else np.zeros(1)
-        return math.sqrt((len(values) - 1) * float(np.var(values)))
+        wider = float(student.ppf(0.975, max(len(values) - 1, 1))) / NORMAL
+        return wider * math.sqrt((len(values) - 1) * float(np.var(values)))
     log_sd = np.sqrt(np.diag(space.root @ covariance[:n, :n] @ space.root.T) + (space.root @ shift[:n]) ** 2)
     constants = {}
     per_log = np.linalg.inv(space.root)
@@ -192,7 +197,7 @@ def estimates(found: Fit, rougher: Fit | None = None, left_out: Sequence[Fit] = 
             own = space.root[i] @ seen.covariance[:n, :n] @ space.root[i]
             own = max(math.sqrt(own), jackknife(np.append(space.root[i], np.zeros(space.size - n))))
             deviation, between = math.hypot(own, space.root[i] @ shift[:n]), _told(seen, value)
-        times = math.exp(1.96 * deviation)
+        times = math.exp(NORMAL * deviation)
         least, most = sorted((value / times, value * times))
         constants[path] = Estimate(value=value, low=least, high=most, unit=UNITS[path],
                                    state=found_states[i].state, spread=between)
@@ -201,7 +206,7 @@ def estimates(found: Fit, rougher: Fit | None = None, left_out: Sequence[Fit] = 
         cls, at = space.hypothesis.effects[coordinate.effect]
         seen = _between(found, np.eye(space.size)[k])
         deviation = math.hypot(max(math.sqrt(seen.covariance[k, k]), jackknife(np.eye(space.size)[k])), shift[k])
-        low, value, high = (found.x[k] + s * 1.96 * deviation for s in (-1.0, 0.0, 1.0))
+        low, value, high = (found.x[k] + s * NORMAL * deviation for s in (-1.0, 0.0, 1.0))
         ends = (coordinate.to_value(low), coordinate.to_value(value), coordinate.to_value(high))
         if coordinate.info.periodic and (high - low) * coordinate.scale >= 2.0 * math.pi:
             ends = (-math.pi, ends[1], math.pi)
