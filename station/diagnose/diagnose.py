@@ -138,7 +138,8 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     pictures = evidence(refit_rig, extended, drawn, [(c.effect, c.at) for c in causes]) if drawn else []
     report("done", 1.0)
     return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, ranking, pictures, constants,
-                           _notes(rig, search, left, said, spoken, gains + relieved / len(gains)), 0.0, choice.plan, choice.unseen, choice.prediction,
+                           _notes(rig, search, left, said, spoken, gains + relieved / len(gains)), 0.0,
+                           choice.plan, choice.unseen, choice.prediction,
                            [row.equivalence.sentence for row in known] if causes else [])
 
 

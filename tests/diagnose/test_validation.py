@@ -16,19 +16,19 @@ PRIOR = np.array([1e6, 0.04, 4.0, 0.25])
 """Precisions of what a run has of its own: starting angle (known), offset, share, constant."""
 
 
-def predictor(errors: np.ndarray, columns: np.ndarray, sizes: tuple[float, ...] = (1.0, 1.0)) -> SimpleNamespace:
+def predictor(errors: np.ndarray, columns: np.ndarray) -> SimpleNamespace:
     """Of a run with one channel that misses ``errors`` (n), less what the run has of its own (4) times ``columns``
     (4, n)."""
     data = SimpleNamespace(own=np.zeros((1, 4)), free=np.arange(4), rms_command=1.0,
                            rig=SimpleNamespace(angle_per_count=1.0))
-    return SimpleNamespace(data=data, counts=np.array([[float(errors.size)]]), scale=lambda run: np.ones((1, errors.size)),
-                           measured=lambda run: errors[None], model=lambda space, x: None, pool=None,
-                           run=lambda model, space, x, run, own: (own @ columns)[None])
+    return SimpleNamespace(data=data, counts=np.array([[float(errors.size)]]), pool=None,
+                           scale=lambda run: np.ones((1, errors.size)), measured=lambda run: errors[None],
+                           model=lambda space, x: None, run=lambda model, space, x, run, own: (own @ columns)[None])
 
 
-def left_out(own: np.ndarray = np.zeros(4)) -> SimpleNamespace:
+def left_out(own: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)) -> SimpleNamespace:
     """A fit that left the run out."""
-    return SimpleNamespace(space=SimpleNamespace(), x=np.zeros(1), own=own[None],
+    return SimpleNamespace(space=SimpleNamespace(), x=np.zeros(1), own=np.array([own]),
                            weighing=SimpleNamespace(differ=(0.5, 2.0)), own_precision=lambda differ: PRIOR[None])
 
 
@@ -50,7 +50,8 @@ def test_what_a_run_has_of_its_own_is_integrated_out_of_the_density_of_a_run_lef
     wanted = -0.5 * float(errors @ np.linalg.solve(spread, errors) + np.linalg.slogdet(spread)[1])
     found = log_density(predictor(errors, columns), counted(ROWS), left_out(), 0)
     assert found == pytest.approx(wanted, abs=1e-3)
-    begun_elsewhere = log_density(predictor(errors, columns), counted(ROWS), left_out(np.array([0.0, 1.0, 1.0, 1.0])), 0)
+    elsewhere = left_out((0.0, 1.0, 1.0, 1.0))
+    begun_elsewhere = log_density(predictor(errors, columns), counted(ROWS), elsewhere, 0)
     assert begun_elsewhere == pytest.approx(wanted, abs=0.1)
 
 

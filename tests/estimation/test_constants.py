@@ -9,14 +9,16 @@ from dataclasses import replace
 
 import pytest
 
-from station.estimation.constants import cooled, searched
-from station.estimation.dataset import dataset
+from station.estimation.constants import BEGIN, base_fit, cooled, searched, settled, unknown
+from station.estimation.dataset import canonical_order, dataset
 from station.estimation.least_squares import fit
 from station.estimation.likelihood import Weighing
 from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
 from station.estimation.prediction import Predictor
+from station.rig import load_rig
 from tests.estimation.made import AXIS, runs_of
+from tests.truth import make_case
 
 
 @pytest.fixture(scope="module")
@@ -44,3 +46,24 @@ def test_starts_from_the_prior_end_in_one_minimum_and_say_so(predictor: Predicto
     ratio = found.space.rig_at(found.x).motor
     assert ratio.gain / ratio.damping == pytest.approx(AXIS.motor.gain / (1.1 * AXIS.motor.damping), rel=2e-3)
     assert found.space.rig_at(found.x).motor.inertia == AXIS.motor.inertia
+
+
+def test_how_much_runs_differ_is_read_off_a_fit_that_lets_them() -> None:
+    """Runs of a disturbed arm: begun with runs that may not differ, the fit takes what each has of its own for errors
+    so large that freeing it seems to buy nothing."""
+    case = make_case(930007, [("sublinear_drag", "motor")], count=None, band="subtle", disturbance=0.02,
+                     sized_in_world=True)
+    runs = [case.runs[i] for i in canonical_order(case.runs)]
+    with ThreadPoolExecutor(2) as pool:
+        data = dataset(load_rig("sflr"), runs)
+        predictor = Predictor(data, observers(data.rig, data.noise[0]), pool)
+        found = base_fit(predictor)
+        space = found.space
+        alike = Weighing(BEGIN * predictor.counts, 1.0)
+        shut = settled(predictor, fit(predictor, space, alike, space.mean, tolerance=1.0))
+        again = settled(predictor, fit(predictor, space, unknown(predictor), space.mean, tolerance=1.0))
+    weighing = found.weighing
+    assert weighing.differ[1] > 0.1 > 1e-3 > shut.weighing.differ[1]
+    assert found.log_evidence(weighing) > again.log_evidence(weighing) - 1.0
+    freed, kept = (found.squares[:, 2] / found.counts[:, 2]).mean(), (shut.squares[:, 2] / shut.counts[:, 2]).mean()
+    assert freed < 0.5 * kept
