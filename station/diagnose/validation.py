@@ -151,6 +151,8 @@ def log_density(predictor: Predictor, weighing: Weighing, left: Fit, run: int) -
     own = left.own[run].copy()
     here = errors(own)
     value = surprise(here, own)
+    if not np.isfinite(value):
+        return -math.inf
     for _ in range(OWN_STEPS):
         columns = np.stack([(here - errors(own + steps * (np.arange(4) == k))) / steps[k] for k in data.free])
         weights = independent / np.maximum(np.sum(here * here, axis=1), counts) / weighing.temperature
@@ -197,7 +199,8 @@ def relief(without: Sequence[Fit], found: Sequence[Fit]) -> float:
 
 def standard_error(gains: np.ndarray) -> float:
     """Of the sum of what causes raise the log densities of unseen runs by (runs)."""
-    return math.sqrt(len(gains) * float(np.var(gains, ddof=1)))
+    with np.errstate(invalid="ignore"):     # a run that does not simulate
+        return math.sqrt(len(gains) * float(np.var(gains, ddof=1)))
 
 
 def contradicted(gains: np.ndarray, relieved: float) -> bool:
@@ -207,7 +210,7 @@ def contradicted(gains: np.ndarray, relieved: float) -> bool:
     Of rules that predict as well, within the error of the comparison, the simpler one is taken (Hastie, Tibshirani and
     Friedman, section 7.10).
     """
-    return float(gains.sum()) + relieved < UNSEEN * standard_error(gains)
+    return not float(gains.sum()) + relieved >= UNSEEN * standard_error(gains)     # what is no number does not help
 
 
 def gain(data: Dataset, names: Sequence[str], before: Sequence[Simulation], after: Sequence[Simulation],

@@ -66,6 +66,10 @@ def test_a_bias_of_its_own_does_not_speak_against_what_meets_a_run_but_for_it() 
     assert close - far == pytest.approx(0.5 * 50.0 * np.log(16.0), rel=0.1)
 
 
+def test_a_run_that_does_not_simulate_is_met_by_no_density_at_all() -> None:
+    assert log_density(predictor(np.full(ROWS, np.inf), np.zeros((4, ROWS))), counted(50.0), left_out(), 0) == -np.inf
+
+
 def test_temperature_tones_a_density_down() -> None:
     columns = np.zeros((4, ROWS))
     before, after = (log_density(predictor(size * waves(1, 1.0, 4)[0], columns), counted(50.0, 2.0), left_out(), 0)
@@ -77,7 +81,8 @@ def test_temperature_tones_a_density_down() -> None:
 @pytest.mark.parametrize(("gains", "relieved", "wanted"), [
     ([-3.0, -3.1, -2.9], 0.0, True), ([-9.0, 4.0, 3.0], 0.0, True), ([-9.0, 4.0, 6.0], 0.0, True),
     ([9.0, 4.0, -6.0], 0.0, True), ([9.0, 4.0, -1.0], 0.0, False), ([1.0, 2.0], 0.0, False),
-    ([-0.2, 0.1, 0.0], 12.0, False), ([1.0, 1.0, 0.0], -2.7, True)])
+    ([-0.2, 0.1, 0.0], 12.0, False), ([1.0, 1.0, 0.0], -2.7, True),
+    ([5.0, np.nan, 5.0], 0.0, True), ([5.0, -np.inf, 5.0], 0.0, True)])
 def test_unseen_runs_speak_against_causes_that_do_not_help_by_more_than_the_error_of_the_comparison(
         gains: list[float], relieved: float, wanted: bool) -> None:
     assert contradicted(np.array(gains), relieved) is wanted
