@@ -55,25 +55,25 @@ class Selection:
     fits: dict[Causes, Fit] = field(default_factory=dict)
     screened: list[Screened] = field(default_factory=list)
     """Of the first rung."""
-    _weighed: WeakKeyDictionary[Fit, tuple[Weighing, Weighing, float]] = field(default_factory=WeakKeyDictionary)
+    _weighed: WeakKeyDictionary[Fit, tuple[Weighing, Weighing, float, float]] = field(default_factory=WeakKeyDictionary)
 
     def evidence(self, found: Fit, drawn: np.ndarray | None = None) -> float:
         """Log evidence of a set of causes, up to a constant; ``drawn``: of resampled stretches.
 
-        How much runs differ is each set's own: what is most likely of all data.
+        How much runs differ is each set's own: what is most likely of all data, at the price of saying so.
         """
-        own, whole = self._own(found)
-        return whole if drawn is None else found.log_evidence(own, drawn)
+        own, whole, price = self._own(found)
+        return price + (whole if drawn is None else found.log_evidence(own, drawn))
 
     def own_weighing(self, found: Fit) -> Weighing:
         """The weighing with what runs differ by by this set of causes."""
         return self._own(found)[0]
 
-    def _own(self, found: Fit) -> tuple[Weighing, float]:
+    def _own(self, found: Fit) -> tuple[Weighing, float, float]:
         known = self._weighed.get(found)
         if known is None or known[0] is not self.weighing:
             own = replace(self.weighing, differ=found.most_likely_differ(self.weighing))
-            known = self._weighed[found] = (self.weighing, own, found.log_evidence(own))
+            known = self._weighed[found] = (self.weighing, own, found.log_evidence(own), found.log_narrowing(own))
         return known[1:]
 
     def loosest(self, found: Fit) -> Weighing:

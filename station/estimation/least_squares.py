@@ -40,6 +40,8 @@ OFFSET_STEP = 0.1
 LARGEST = np.array([0.3, 0.01])
 """Most by which runs differ: a share of the command (what the voltage of a supply that nothing regulates, a battery or
 a wall adapter, may differ by from one day to another), and of the amplifier's limit (an offset of its input)."""
+SIZES = 30
+"""Sizes, evenly spaced in the logarithm, over which a density is averaged: half a unit apart."""
 LONGEST = 2.0
 """Longest step in any coordinate, prior sigmas or logarithm."""
 NEAR, FAR = 1e-5, 1e-3
@@ -233,6 +235,29 @@ class Fit:
         bounds = [(np.log(LEAST_DIFFERENCE), end) for end in np.log(largest)]
         sizes = np.exp(minimize(surprise, np.log(largest), jac=True, method="L-BFGS-B", bounds=bounds).x)
         return float(sizes[0]), float(sizes[1])
+
+    def log_narrowing(self, weighing: Weighing) -> float:
+        """ln of the evidence, averaged over what runs may differ by, over that at ``weighing.differ``.
+
+        Of a set's sizes only the order of magnitude is unknown beforehand: their logarithms are evenly distributed
+        (Gelman et al., section 5.4), down to where runs are alike.  Sizes that the runs single out were one of many; a
+        set that needs none has most of them.  One size at a time, the other at its most likely.
+        """
+        if len(self.squares) < SEVERAL:
+            return 0.0
+        (matrices, slopes), found = self._by_run(weighing), 0.0
+        largest = LARGEST * np.array([1.0, self.space.rig.amplifier.limit])
+
+        def log_density(differ: np.ndarray) -> float:
+            value, volume, _ = self._integrated(matrices, slopes, self.own_precision((differ[0], differ[1])))
+            return 0.5 * (volume - value)
+
+        most = log_density(np.array(weighing.differ))
+        for k, end in enumerate(largest):
+            sizes = np.exp(np.linspace(np.log(LEAST_DIFFERENCE), np.log(end), SIZES))
+            others = [log_density(np.where(np.arange(2) == k, size, weighing.differ)) - most for size in sizes]
+            found += float(np.log(np.trapezoid(np.exp(np.minimum(others, 0.0))) / (SIZES - 1)))
+        return found
 
     @cached_property
     def precision(self) -> np.ndarray:
