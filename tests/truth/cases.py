@@ -46,11 +46,10 @@ def pulse_test(rate: float, amplitude: float, width: float = 0.1, both: bool = T
     """Open loop: rest, a pulse of `amplitude` counts, and from 60 % of the run on the opposite one."""
     reference = np.zeros(round(duration * rate))
     first, long = round(REST * rate), round(width * rate)
+    second = round(0.6 * duration * rate) if both else len(reference)
     reference[first : first + long] = amplitude
-    if both:
-        second = round(0.6 * duration * rate)
-        reference[second : second + long] = -amplitude
-    kind = {"kind": "pulse", "amplitude": amplitude, "width": width, "both": both, "duration": duration}
+    reference[second : second + long] = -amplitude
+    kind = {"kind": "pulse", "amplitude": amplitude, "width": width, "second": second / rate, "duration": duration}
     return Test(kind, "open", reference)
 
 
