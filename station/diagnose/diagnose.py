@@ -102,7 +102,9 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     bought = gain(data, names, before, after, ahead)
     unseen = left_out[frozenset()], left_out[said.causes]
     densities = {keys: log_densities(predictor, search.weighing, fits) for keys, fits in left_out.items()}
-    gains, relieved = densities[said.causes] - densities[frozenset()], relief(*unseen)
+    gains = densities[said.causes] - densities[frozenset()]
+    relieved = (relief(*unseen) + search.clock_score(best.space.hypothesis)
+                - search.clock_score(nothing.space.hypothesis))
     against = contradicted(gains, relieved)
     values, constants = estimates(best, chosen, left_out[said.causes])
     known = standing(data, said.causes, best.space.rig_at(best.x))

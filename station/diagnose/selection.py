@@ -86,10 +86,10 @@ class Selection:
         hypothesis = found.space.hypothesis
         further = sum(len(cls.parameters()) - 1 for cls, _ in hypothesis.effects) + found.space.zeros
         score = (self.evidence(found, drawn) + LOG_PRIOR * len(hypothesis.causes)
-                 + LOG_PRIOR_PARAMETER * further + self._clock_score(hypothesis))
+                 + LOG_PRIOR_PARAMETER * further + self.clock_score(hypothesis))
         return score if np.isfinite(score) else -np.inf
 
-    def _clock_score(self, hypothesis: Hypothesis) -> float:
+    def clock_score(self, hypothesis: Hypothesis) -> float:
         """What the clocks' own comparison says against a hypothesis that leaves the board's clock right."""
         clock = self.predictor.data.clock
         if clock is None or any(cls.stage is Stage.CLOCK for cls, _ in hypothesis.effects):

@@ -92,3 +92,19 @@ def test_without_a_step_left_to_take_the_evidence_is_that_of_the_fit(varied: Fit
     wide = replace(varied.weighing, differ=(30.0 * varied.weighing.differ[0], varied.weighing.differ[1]))
     assert varied.log_evidence(varied.weighing) - varied.log_evidence(wide) == pytest.approx(
         6.0 * np.log(30.0) - 3.0, rel=0.3)
+
+
+def test_sizes_that_runs_single_out_were_one_of_many_and_those_of_runs_alike_are_most() -> None:
+    """The evidence averaged over an even distribution of each size's logarithm, over the largest."""
+    for offsets, shares in ((OFFSETS, SHARES), (np.zeros(6), np.zeros(6))):
+        found = fitted(offsets, shares)
+        weighing = replace(found.weighing, differ=found.most_likely_differ(found.weighing))
+        most, expected = found.log_evidence(weighing), 0.0
+        for k, end in enumerate((0.3, 0.01 * AXIS.amplifier.limit)):
+            logs = np.linspace(np.log(1e-6), np.log(end), 200)
+            sizes = [tuple(np.where(np.arange(2) == k, np.exp(log), weighing.differ).tolist()) for log in logs]
+            expected += np.log(np.mean([np.exp(found.log_evidence(replace(weighing, differ=(one, other))) - most)
+                                        for one, other in sizes]))
+        narrowed = found.log_narrowing(weighing)
+        assert narrowed == pytest.approx(expected, abs=0.1)
+        assert narrowed < -3.0 if np.any(offsets) else narrowed > -1.5
