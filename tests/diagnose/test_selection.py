@@ -24,11 +24,11 @@ class Found(SimpleNamespace):
     __eq__ = object.__eq__
 
 
-def found(evidence: float, *effects: tuple, constants: tuple[str, ...] = ()) -> Found:
+def found(evidence: float, *effects: tuple, constants: tuple[str, ...] = (), narrowed: float = 0.0) -> Found:
     hypothesis = Hypothesis(effects, constants)
     made = Found(space=SimpleNamespace(hypothesis=hypothesis, zeros=0), key=hypothesis.key,
                  log_evidence=lambda weighing, drawn=None: evidence,
-                 most_likely_differ=lambda weighing: (0.0, 0.0))
+                 most_likely_differ=lambda weighing: (0.0, 0.0), log_narrowing=lambda weighing: narrowed)
     made.light = made
     return made
 
@@ -46,6 +46,12 @@ def test_each_cause_and_each_further_parameter_costs_its_prior() -> None:
     assert further > 0
     both = search.score(found(10.0, FRICTION, STRIBECK, constants=("motor.gain",)))
     assert both == pytest.approx(10.0 + 3.0 * LOG_PRIOR + further * LOG_PRIOR_PARAMETER)
+
+
+def test_sizes_of_differences_that_runs_single_out_cost_what_singling_out_costs() -> None:
+    search = searching()
+    one, drawn = found(10.0, narrowed=-3.0), np.ones(1)
+    assert search.score(one) == search.score(one, drawn) == 7.0
 
 
 def test_clocks_that_disagree_speak_against_every_set_that_leaves_the_boards_clock_right() -> None:
