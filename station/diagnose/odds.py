@@ -22,6 +22,7 @@ from station.diagnose.thresholds import BEYOND, CLOSE, VARIES
 from station.estimation.dataset import SEVERAL
 from station.estimation.identifiability import parameter_states
 from station.estimation.least_squares import Fit
+from station.estimation.noise import QUANTISATION
 from station.estimation.parameters import Causes, Key
 from station.estimation.spread import Spread, between_runs
 from station.model.effects import effect_class
@@ -173,6 +174,7 @@ def estimates(found: Fit, rougher: Fit | None = None, left_out: Sequence[Fit] = 
     when run after run is left out (``left_out``: R fits, one without each): by the jackknife their variance is at least
     (R - 1)/R sum (x_r - mean)^2, whatever the errors are like (Efron and Stein, Ann. Stat. 9, 1981), itself known to
     R - 1 degrees of freedom (Student's t in place of the normal: Tukey, Ann. Math. Stat. 29, 1958, p. 614).
+    A level at which readings stand still is known no better than their one rounding error, uniform over a count.
     ``rougher``: the same set fitted with coarser simulations; how far it lies from ``found`` is what the simulation's
     own steps leave uncertain, and is added to the variance.
     """
@@ -205,7 +207,10 @@ def estimates(found: Fit, rougher: Fit | None = None, left_out: Sequence[Fit] = 
     for k, coordinate in enumerate(space.coordinates, space.parts["effects"].start):
         cls, at = space.hypothesis.effects[coordinate.effect]
         seen = _between(found, np.eye(space.size)[k])
-        deviation = math.hypot(max(math.sqrt(seen.covariance[k, k]), jackknife(np.eye(space.size)[k])), shift[k])
+        per_step = abs(coordinate.to_value(found.x[k])) if coordinate.log else coordinate.scale
+        rounding = math.sqrt(QUANTISATION) / per_step if coordinate.info.rounded else 0.0
+        deviation = math.hypot(max(math.sqrt(seen.covariance[k, k]), jackknife(np.eye(space.size)[k])), shift[k],
+                               rounding)
         low, value, high = (found.x[k] + s * NORMAL * deviation for s in (-1.0, 0.0, 1.0))
         ends = (coordinate.to_value(low), coordinate.to_value(value), coordinate.to_value(high))
         if coordinate.info.periodic and (high - low) * coordinate.scale >= 2.0 * math.pi:
@@ -213,8 +218,7 @@ def estimates(found: Fit, rougher: Fit | None = None, left_out: Sequence[Fit] = 
         causes.setdefault((cls.name, at), {})[coordinate.name] = Estimate(
             value=float(ends[1]), low=float(ends[0]), high=float(ends[2]), unit=coordinate.info.unit,
             state=found_states[k].state,
-            spread=None if coordinate.info.periodic else _told(seen, abs(ends[1]) if coordinate.log
-                                                               else coordinate.scale))
+            spread=None if coordinate.info.periodic else _told(seen, per_step))
     for path in space.hypothesis.constants:
         causes[(f"parameter:{path}", "")] = {"value": constants[path]}
     return causes, constants

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -10,8 +11,16 @@ import numpy as np
 import pytest
 
 from station.diagnose import odds as module
-from station.diagnose.odds import RESAMPLES, Odds, by_law, normalised, odds, resamples
+from station.diagnose.odds import RESAMPLES, Odds, by_law, estimates, normalised, odds, resamples
 from station.diagnose.thresholds import BEYOND
+from station.estimation.dataset import dataset
+from station.estimation.least_squares import fit
+from station.estimation.likelihood import Weighing
+from station.estimation.observer import observers
+from station.estimation.parameters import Hypothesis, parameters
+from station.estimation.prediction import Predictor
+from station.model.effects import catalogue, effect_class
+from tests.estimation.made import AXIS, runs_of
 
 FRICTION, DEAD_ZONE = ("coulomb_friction", "motor"), ("dead_zone", "amplifier")
 GAIN = ("parameter:motor.gain", "")
@@ -134,3 +143,28 @@ def test_a_place_that_is_told_stands_and_what_has_but_one_place_is_left_alone() 
     assert found.causes[GAIN] == pytest.approx(1.0) and found.stability[GAIN] == 1.0
     alone = normalised({frozenset({DEAD_ZONE}): 0.0, frozenset(): -1.0}, {DEAD_ZONE: 0.7})
     assert by_law(alone) == alone
+
+
+def test_a_level_at_which_readings_stand_still_is_known_no_better_than_their_rounding(
+        monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of two intervals of one fit the wider one holds the rounding's variance, 1/12 count squared, besides."""
+    bias, at = effect_class("command_bias"), "amplifier"
+
+    def width() -> float:
+        with ThreadPoolExecutor(1) as pool:
+            predictor = Predictor(dataset(AXIS, runs_of(AXIS)), observers(AXIS, 0.0), pool)
+            space = parameters(predictor.data, Hypothesis(((bias, at),)), {("command_bias", at): {"offset": 1.0}})
+            found = fit(predictor, space, Weighing(predictor.counts, 1.0), space.mean)
+        offset = estimates(found)[0]["command_bias", at]["offset"]
+        return offset.high - offset.low
+
+    plain = width()
+    field = bias.model_fields["offset"].json_schema_extra
+    monkeypatch.setitem(field, "info", replace(field["info"], rounded=True))
+    assert width() == pytest.approx(np.hypot(plain, 2.0 * 1.96 / np.sqrt(12.0)), rel=1e-6)
+
+
+def test_a_level_of_the_accelerometers_readings_is_rounded_with_them() -> None:
+    rounded = {(name, key) for name, cls in catalogue().items() for key, info in cls.parameters().items()
+               if info.rounded}
+    assert rounded == {("accelerometer_saturation", "limit")}

@@ -21,7 +21,7 @@ class AccelerometerSaturation(Effect):
     experiment: ClassVar = {"kind": "pulse", "amplitude": 200}
     telling = "large peaks are cut at one level and small ones are right; a wrong accelerometer.gain scales both"
 
-    limit: float = parameter("counts", 0.0, math.inf, neutral=math.inf)
+    limit: float = parameter("counts", 0.0, math.inf, neutral=math.inf, rounded=True)
 
     @classmethod
     def guesses(cls, rig, at):

@@ -81,13 +81,17 @@ PICTURES = {"time", "speed", "angle", "deflection", "command", "frequency", "acc
 
 @dataclass(frozen=True)
 class ParameterInfo:
-    """One parameter of an effect: its unit, closed bounds, and the value at which the effect does nothing."""
+    """One parameter of an effect: its unit, closed bounds, and the value at which the effect does nothing.
+
+    ``rounded``: a level at which readings stand still, so that all of them have one rounding error.
+    """
 
     unit: str
     low: float
     high: float
     neutral: float | None = None
     periodic: bool = False
+    rounded: bool = False
 
     @property
     def positive(self) -> bool:
@@ -96,9 +100,9 @@ class ParameterInfo:
 
 
 def parameter(unit: str, low: float = -math.inf, high: float = math.inf, *, neutral: float | None = None,
-              periodic: bool = False) -> Any:
+              periodic: bool = False, rounded: bool = False) -> Any:
     """Declare a parameter as a pydantic field that carries its ParameterInfo."""
-    info = ParameterInfo(unit, low, high, neutral, periodic)
+    info = ParameterInfo(unit, low, high, neutral, periodic, rounded)
     return Field(ge=low, le=high, allow_inf_nan=neutral is not None and math.isinf(neutral),
                  json_schema_extra={"info": info})  # type: ignore[dict-item]
 
