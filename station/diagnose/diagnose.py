@@ -100,10 +100,9 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     names = [run.name for run in runs]
     ahead = (predicted_ahead(predictor, nothing, nominal=True), predicted_ahead(predictor, left_out[said.causes]))
     bought = gain(data, names, before, after, ahead)
-    unseen = left_out[frozenset()], left_out[said.causes]
     densities = {keys: log_densities(predictor, search.weighing, fits) for keys, fits in left_out.items()}
     gains = densities[said.causes] - densities[frozenset()]
-    relieved = (relief(*unseen) + search.clock_score(best.space.hypothesis)
+    relieved = (relief(left_out[frozenset()], left_out[said.causes]) + search.clock_score(best.space.hypothesis)
                 - search.clock_score(nothing.space.hypothesis))
     against = contradicted(gains, relieved)
     values, constants = estimates(best, chosen, left_out[said.causes])

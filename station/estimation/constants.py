@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from station.estimation.dataset import beginning
-from station.estimation.least_squares import LARGEST, LOST, Fit, fit, weighing_of
+from station.estimation.least_squares import LOST, Fit, fit, largest_differ, weighing_of
 from station.estimation.likelihood import Weighing
 from station.estimation.parameters import Hypothesis, Parameters, parameters
 from station.estimation.prediction import FINE, Predictor
@@ -86,8 +86,8 @@ def unknown(predictor: Predictor) -> Weighing:
 
     By how much they do is read off what a fit gives each run: off one that gives them nothing, nothing can be.
     """
-    share, constant = LARGEST * np.array([1.0, predictor.data.rig.amplifier.limit])
-    return Weighing(BEGIN * predictor.counts, 1.0, (float(share), float(constant)))
+    share, constant = largest_differ(predictor.data.rig).tolist()
+    return Weighing(BEGIN * predictor.counts, 1.0, (share, constant))
 
 
 def settled(predictor: Predictor, found: Fit, rounds: int = 4) -> Fit:

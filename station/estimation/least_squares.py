@@ -25,6 +25,7 @@ from station.estimation.likelihood import (
 )
 from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor
+from station.rig import Rig
 
 LOST = (ArithmeticError, np.linalg.LinAlgError)
 """What a fit raises that went where nothing simulates."""
@@ -220,7 +221,7 @@ class Fit:
         if len(self.squares) < SEVERAL:
             return 0.0, 0.0
         p, (matrices, slopes) = self.space.size, self._by_run(weighing)
-        largest = LARGEST * np.array([1.0, self.space.rig.amplifier.limit])
+        largest = largest_differ(self.space.rig)
 
         def surprise(logs: np.ndarray) -> tuple[float, np.ndarray]:
             sizes = np.exp(logs)
@@ -246,7 +247,7 @@ class Fit:
         if len(self.squares) < SEVERAL:
             return 0.0
         (matrices, slopes), found = self._by_run(weighing), 0.0
-        largest = LARGEST * np.array([1.0, self.space.rig.amplifier.limit])
+        largest = largest_differ(self.space.rig)
 
         def log_density(differ: np.ndarray) -> float:
             value, volume, _ = self._integrated(matrices, slopes, self.own_precision((differ[0], differ[1])))
@@ -408,6 +409,11 @@ class _Descent:
                 normal[s] = part @ part.transpose(0, 2, 1)
                 gradient[s] = np.einsum("bkn,bn->bk", part, e[:, begin:end])
         return Information(squares, counts, normal, gradient)
+
+
+def largest_differ(rig: Rig) -> np.ndarray:
+    """(2) the most by which runs differ: a share of the command, and a constant (counts of command)."""
+    return LARGEST * np.array([1.0, rig.amplifier.limit])
 
 
 def own_steps(data: Dataset) -> np.ndarray:
