@@ -1,13 +1,16 @@
 """Screening: what every cause would buy on top of a fitted hypothesis, to first order, alone and in pairs.
 
 With D what a cause of a guessed size changes in the predictions, weighed as the errors e are, and the parent's own
-parameters and nuisances eliminated, G = D'D and b = D'e: causes of sizes a = G^-1 b lower -2 ln L by b'G^-1 b.
+parameters and nuisances eliminated, G = D'D and b = D'e: causes of sizes a = G^-1 b lower -2 ln L by b'G^-1 b.  With
+one of the parent's own effects taken out, and what that changes taken from e, the same says which could stand in its
+place.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -15,8 +18,8 @@ import numpy as np
 
 from station.diagnose.candidates import Candidate
 from station.estimation.dataset import SEVERAL
-from station.estimation.least_squares import Fit
-from station.estimation.parameters import Parameters, Sizes, parameters
+from station.estimation.least_squares import LOST, Fit
+from station.estimation.parameters import Key, Parameters, Sizes, parameters
 from station.estimation.prediction import Predictor
 from station.model.effects import Stage
 
@@ -56,6 +59,23 @@ class Screened:
         return {self.candidate.key: self.guess}
 
 
+@dataclass(frozen=True)
+class Exchange:
+    """One of a parent's effects, and a cause that could stand in its place."""
+
+    less: Key
+    more: Screened
+
+
+@dataclass(frozen=True, eq=False)
+class _Row:
+    """What screening says of a guess, what so many times the guess changes in the predictions, and how many times."""
+
+    screened: Screened
+    change: list[np.ndarray] | None
+    factor: float = 1.0
+
+
 def scaled(candidate: Candidate, guess: dict[str, float], factor: float) -> dict[str, float]:
     """A guess so many times its distance from neutral, within bounds."""
     if candidate.effect is None:
@@ -73,23 +93,40 @@ def scaled(candidate: Candidate, guess: dict[str, float], factor: float) -> dict
 class _Eliminated:
     """A parent's weighed errors and derivatives, and inner products with both taken out."""
 
-    def __init__(self, predictor: Predictor, parent: Fit) -> None:
+    def __init__(self, predictor: Predictor, parent: Fit, reduced: Parameters | None = None) -> None:
+        """``reduced``: the parent's hypothesis with one effect less; what that does is put back into the errors.
+
+        ArithmeticError: without it the rig does not simulate.
+        """
         assert parent.jacobian is not None
         self.predictor, self.parent = predictor, parent
-        p, w = parent.space.size, parent.blocks(parent.weighing)
+        space, w = parent.space, parent.blocks(parent.weighing)
+        left = set((reduced or space).names())
+        kept = [i for i, name in enumerate(space.names()) if name in left]
+        rows = [*kept, *range(space.size, len(parent.jacobian[0]))]
+        p = self.size = len(kept)
         self.roots = [np.sqrt(row)[:, None] for row in w]
-        self.derivatives = [(j * root).reshape(len(j), -1) for j, root in zip(parent.jacobian, self.roots, strict=True)]
+        self.derivatives = [(j[rows] * root).reshape(len(rows), -1)
+                            for j, root in zip(parent.jacobian, self.roots, strict=True)]
         self.errors = [(e * root).ravel() for e, root in zip(parent.residuals, self.roots, strict=True)]
         self.scale = [predictor.scale(r) for r in range(len(w))]
-        normal, slope = parent.normal(parent.weighing)
-        self.matrix = normal + np.diag(parent.space.precision)
-        self.force = slope - parent.space.precision * (parent.x - parent.space.mean)
+        if reduced is not None:
+            change = self.change(reduced, reduced.carried(space, parent.x))
+            if change is None:
+                raise ArithmeticError("without this effect the rig does not simulate")
+            self.errors = [e - c for e, c in zip(self.errors, change, strict=True)]
         # Per run: the nuisances' own products, and what of errors and parameters they take up.
         self.inner = [np.linalg.inv(d[p:] @ d[p:].T + np.diag(own))
                       for d, own in zip(self.derivatives, parent.nuisance, strict=True)]
         self.coupled = [d[p:] @ d[:p].T for d in self.derivatives]
         self.taken = [d[p:] @ e - own * away for d, e, own, away in
                       zip(self.derivatives, self.errors, parent.nuisance, parent.away, strict=True)]
+        prior = space.precision[kept]
+        self.matrix, self.force = np.diag(prior), -prior * (parent.x - space.mean)[kept]
+        for d, e, inner, coupled, taken in zip(self.derivatives, self.errors, self.inner, self.coupled, self.taken,
+                                               strict=True):
+            self.matrix += d[:p] @ d[:p].T - coupled.T @ inner @ coupled
+            self.force += d[:p] @ e - coupled.T @ inner @ taken
 
     def change(self, space: Parameters, x: np.ndarray) -> list[np.ndarray] | None:
         """What a hypothesis at x changes in the weighed predictions, per run; None where it does not simulate."""
@@ -100,7 +137,7 @@ class _Eliminated:
 
     def products(self, changes: Sequence[list[np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
         """G (k, k) and b (k) of changes."""
-        k, p = len(changes), self.parent.space.size
+        k, p = len(changes), self.size
         gram, slope, cross = np.zeros((k, k)), np.zeros(k), np.zeros((p, k))
         for r, (d, e) in enumerate(zip(self.derivatives, self.errors, strict=True)):
             c = np.stack([change[r] for change in changes])
@@ -114,8 +151,9 @@ class _Eliminated:
 
 
 def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
-           ) -> tuple[list[Screened], list[tuple[Screened, Screened]]]:
-    """All causes at their guesses, best first, and pairs that promise more than their better half, best first."""
+           ) -> tuple[list[Screened], list[tuple[Screened, Screened]], list[Exchange]]:
+    """All causes at their guesses, best first; pairs that promise more than their better half, best first; and what
+    could stand in the place of one of the parent's effects, for each of them best first."""
     known = _Eliminated(predictor, parent)
 
     def at(candidate: Candidate, guess: dict[str, float]) -> list[np.ndarray] | None:
@@ -125,11 +163,11 @@ def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
         x = space.carried(parent.space, parent.x, {candidate.key: guess})
         return known.change(space, x)
 
-    def tried(task: tuple[Candidate, dict[str, float]]) -> tuple[Screened, list[np.ndarray] | None]:
+    def tried(task: tuple[Candidate, dict[str, float]]) -> _Row:
         candidate, guess = task
         change = at(candidate, guess)
         if change is None:
-            return Screened(candidate, guess, 0.0, 1.0, 0.0), None
+            return _Row(Screened(candidate, guess, 0.0, 1.0, 0.0), None)
         gram, slope = known.products([change])
         found = _screened(candidate, guess, float(gram[0, 0]), float(slope[0]))
         if found.information > STRONG:
@@ -139,12 +177,13 @@ def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
                 gram, slope = known.products([smaller])
                 closer = _screened(candidate, guess, float(gram[0, 0]), float(slope[0]))
                 if closer.gain > found.gain:
-                    return replace(closer, size=factor * closer.size, information=found.information), smaller
-        return found, change
+                    closer = replace(closer, size=factor * closer.size, information=found.information)
+                    return _Row(closer, smaller, factor)
+        return _Row(found, change)
 
     tasks = [(c, g) for c in pool if c.effect is not None for g in c.guesses]
     rows = list(predictor.pool.map(tried, tasks))
-    found = [screened for screened, _ in rows]
+    found = [row.screened for row in rows]
     clock = predictor.data.clock
     for candidate in pool:
         if candidate.effect is None:
@@ -153,7 +192,7 @@ def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
             ratio, error = clock
             found.append(Screened(candidate, {"ratio": ratio}, ((ratio - 1.0) / error) ** 2, 1.0, error**-2))
     found += _shared(parent, pool)
-    return sorted(found, key=lambda s: -s.gain), _pairs(known, rows)
+    return sorted(found, key=lambda s: -s.gain), _pairs(known, rows), _in_place(predictor, parent, rows)
 
 
 def _shared(parent: Fit, pool: Sequence[Candidate]) -> list[Screened]:
@@ -178,13 +217,12 @@ def _screened(candidate: Candidate, guess: dict[str, float], s: float, b: float)
     return Screened(candidate, guess, gain, size, s)
 
 
-def _pairs(known: _Eliminated, rows: Sequence[tuple[Screened, list[np.ndarray] | None]],
-           ) -> list[tuple[Screened, Screened]]:
+def _pairs(known: _Eliminated, rows: Sequence[_Row]) -> list[tuple[Screened, Screened]]:
     """Pairs of causes whose sizes, fitted together, buy more than the better of the two and another cause's worth."""
-    best: dict[tuple[str, str], tuple[Screened, list[np.ndarray]]] = {}
-    for screened, change in sorted(rows, key=lambda row: -row[0].gain):
-        if change is not None and screened.information > 1e-6 and screened.size > 0.0:
-            best.setdefault(screened.candidate.key, (screened, change))
+    best: dict[Key, tuple[_Row, list[np.ndarray]]] = {}
+    for row in sorted(rows, key=lambda row: -row.screened.gain):
+        if row.change is not None and row.screened.information > 1e-6 and row.screened.size > 0.0:
+            best.setdefault(row.screened.candidate.key, (row, row.change))
     leading = list(best.values())[:PAIRED]
     if len(leading) < 2:
         return []
@@ -201,10 +239,29 @@ def _pairs(known: _Eliminated, rows: Sequence[tuple[Screened, list[np.ndarray] |
     pairs = []
     for gain, i, j, sizes in sorted(found, key=lambda row: -row[0]):
         one, other = leading[i][0], leading[j][0]
-        if gain > max(one.gain, other.gain):
-            first, second = (float(size) for size in sizes)
-            pairs.append((replace(one, gain=gain, size=first), replace(other, gain=gain, size=second)))
+        if gain > max(one.screened.gain, other.screened.gain):
+            pairs.append((replace(one.screened, gain=gain, size=one.factor * float(sizes[0])),
+                          replace(other.screened, gain=gain, size=other.factor * float(sizes[1]))))
     return pairs
+
+
+def _in_place(predictor: Predictor, parent: Fit, rows: Sequence[_Row]) -> list[Exchange]:
+    """What could stand in the place of each effect of a parent that has more causes than one."""
+    hypothesis, found = parent.space.hypothesis, []
+    for less in [(cls.name, at) for cls, at in hypothesis.effects] if len(hypothesis.causes) > 1 else []:
+        centres = {key: sizes for key, sizes in parent.space.values(parent.space.mean).items() if key != less}
+        with suppress(*LOST):
+            known = _Eliminated(predictor, parent, parameters(predictor.data, hypothesis.without(less), centres))
+            others: dict[Key, Screened] = {}
+            for row in rows:
+                if row.change is not None:
+                    gram, slope = known.products([row.change])
+                    one = _screened(row.screened.candidate, row.screened.guess, float(gram[0, 0]), float(slope[0]))
+                    key = one.candidate.key
+                    if key not in others or one.gain > others[key].gain:
+                        others[key] = replace(one, size=row.factor * one.size)
+            found += [Exchange(less, one) for one in sorted(others.values(), key=lambda one: -one.gain)]
+    return found
 
 
 def _freed(predictor: Predictor, parent: Fit, candidate: Candidate, known: _Eliminated) -> Screened:

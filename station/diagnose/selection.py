@@ -38,11 +38,13 @@ class Effort:
     """Of these, how many are fitted to the end."""
     pairs: int
     """Pairs of causes that are fitted on each rung."""
+    exchanged: int
+    """Causes that are fitted in the place of each one that a set has, beside its others."""
     rungs: int
     """Causes in a set from which on nothing is added to it; a pair on top of the set before may hold one more."""
 
 
-EFFORTS = {"quick": Effort(6, 2, 1, 2), "full": Effort(12, 4, 3, 3)}
+EFFORTS = {"quick": Effort(6, 2, 1, 1, 2), "full": Effort(12, 4, 3, 3, 3)}
 
 
 @dataclass
@@ -125,13 +127,13 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
     search.keep(parent)
     pool = candidates(predictor.data.rig)
     climbed: set[Causes] = set()
-    while len(parent.key) < effort.rungs and parent.key not in climbed:
+    while parent.key not in climbed:
         climbed.add(parent.key)
         rung = len(parent.key)
         if rung > 0 and predictor.data.clock is None:
             # Beside another cause a clock is but one more way to move the constants, which no data tell from theirs.
             pool = [c for c in pool if c.effect is None or c.effect.stage is not Stage.CLOCK]
-        share = (0.1 + 0.7 * rung / effort.rungs, 0.1 + 0.7 * (rung + 1) / effort.rungs)
+        share = (min(0.1 + 0.7 * rung / (effort.rungs + 1), 0.8), min(0.1 + 0.7 * (rung + 1) / (effort.rungs + 1), 0.8))
         _climb(search, parent, [c for c in pool if c.key not in parent.key], share, progress)
         best = search.best()
         if best.key == parent.key:
@@ -159,27 +161,32 @@ def _with_derivatives(search: Selection, found: Fit) -> Fit:
 
 def _climb(search: Selection, parent: Fit, pool: list[Candidate], share: tuple[float, float],
            progress: Callable[[str, float], None]) -> None:
-    """Fit the most promising further causes on top of a parent."""
+    """Fit the most promising further causes on top of a parent that holds fewer than a set may, and those that could
+    stand in the place of one that it has: what was added first need not be the best beside what came later."""
     predictor, effort = search.predictor, search.effort
-    screened, pairs = screen(predictor, parent, pool)
+    screened, pairs, exchanges = screen(predictor, parent, pool)
     if not search.screened:
         search.screened = screened
-    starts: list[tuple[Screened, ...]] = []
+    grows = len(parent.key) < effort.rungs
+    starts: list[tuple[Key | None, tuple[Screened, ...]]] = []
+    for less in sorted({exchange.less for exchange in exchanges}):
+        others = [e.more for e in exchanges if e.less == less and e.more.gain > WORTH_A_FIT]
+        starts += [(less, (one,)) for one in others[: effort.exchanged]]
     per_key: dict[Key, int] = {}
-    for one in screened:
+    for one in screened if grows else []:
         key = one.candidate.key
         if one.gain < WORTH_A_FIT or key not in per_key and len(per_key) == effort.tried:
             continue
         if per_key.get(key, 0) < one.candidate.starts:
             per_key[key] = per_key.get(key, 0) + 1
-            starts.append((one,))
-    starts += [pair for pair in pairs[: effort.pairs] if pair[0].gain > WORTH_A_FIT]
-    far = rigid_starts(predictor, parent, pool)
+            starts.append((None, (one,)))
+    starts += [(None, pair) for pair in pairs[: effort.pairs] if grows and pair[0].gain > WORTH_A_FIT]
+    far = rigid_starts(predictor, parent, pool) if grows else []
     if not parent.key:
         far += far_starts(predictor, pool, effort.finished)
 
-    def quick(start: tuple[Screened, ...]) -> Fit | None:
-        return begun(predictor, parent, start)
+    def quick(start: tuple[Key | None, tuple[Screened, ...]]) -> Fit | None:
+        return begun(predictor, parent, start[1], start[0])
 
     found: dict[Causes, Fit] = {}
     for start, one in zip(far, predictor.pool.map(lambda start: start.fitted(predictor, search.weighing), far),
@@ -190,7 +197,7 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], share: tuple[f
             if one.key not in found or one.objective < found[one.key].objective:
                 found[one.key] = one
     for k, begun_fit in enumerate(predictor.pool.map(quick, starts)):
-        progress(f"tried {' + '.join(s.candidate.hypothesis.label for s in starts[k])}",
+        progress(f"tried {' + '.join(s.candidate.hypothesis.label for s in starts[k][1])}",
                  share[0] + (share[1] - share[0]) * 0.6 * (k + 1) / len(starts))
         if begun_fit is not None:
             search.keep(begun_fit)
@@ -202,9 +209,12 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], share: tuple[f
                                      share[0] + (share[1] - share[0]) * (0.6 + 0.4 * (k + 1) / len(ranked))))
 
 
-def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened]) -> Fit | None:
-    """A parent's hypothesis with further causes, a few steps from where screening put them; None where it is lost."""
+def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened], less: Key | None = None) -> Fit | None:
+    """A parent's hypothesis with further causes, or with some in the place of one (``less``), a few steps from where
+    screening put them; None where it is lost."""
     hypothesis, centres = parent.space.hypothesis, parent.space.values(parent.space.mean)
+    if less is not None:
+        hypothesis = hypothesis.without(less)
     first: Sizes = {}
     own = parent.own.copy()
     for one in start:
