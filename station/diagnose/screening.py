@@ -246,15 +246,17 @@ def _pairs(known: _Eliminated, rows: Sequence[_Row]) -> list[tuple[Screened, Scr
 
 
 def _in_place(predictor: Predictor, parent: Fit, rows: Sequence[_Row]) -> list[Exchange]:
-    """What could stand in the place of each effect of a parent that has more causes than one."""
+    """What could stand in the place of each effect of a parent; of a single one the same law elsewhere alone, for the
+    others were looked at before."""
     hypothesis, found = parent.space.hypothesis, []
-    for less in [(cls.name, at) for cls, at in hypothesis.effects] if len(hypothesis.causes) > 1 else []:
+    for less in [(cls.name, at) for cls, at in hypothesis.effects]:
         centres = {key: sizes for key, sizes in parent.space.values(parent.space.mean).items() if key != less}
         with suppress(*LOST):
             known = _Eliminated(predictor, parent, parameters(predictor.data, hypothesis.without(less), centres))
             others: dict[Key, Screened] = {}
             for row in rows:
-                if row.change is not None:
+                wanted = row.screened.candidate.key[0] == less[0] or len(hypothesis.causes) > 1
+                if row.change is not None and wanted:
                     gram, slope = known.products([row.change])
                     one = _screened(row.screened.candidate, row.screened.guess, float(gram[0, 0]), float(slope[0]))
                     key = one.candidate.key

@@ -7,7 +7,7 @@ off the best set and is the same for all sets that are compared; with it the sco
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from weakref import WeakKeyDictionary
@@ -15,6 +15,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from station.diagnose.candidates import Candidate, candidates
+from station.diagnose.remainder import remainder
 from station.diagnose.screening import Screened, screen
 from station.diagnose.starts import far_starts, rigid_starts
 from station.diagnose.thresholds import CLOSE, LOG_PRIOR, LOG_PRIOR_PARAMETER, WORTH_A_FIT
@@ -23,7 +24,7 @@ from station.estimation.least_squares import FAR, LOST, Fit, fit, inherited, wei
 from station.estimation.likelihood import Weighing
 from station.estimation.parameters import Causes, Hypothesis, Key, Parameters, Sizes, parameters
 from station.estimation.prediction import Predictor
-from station.model.effects import Effect, Stage
+from station.model.effects import Stage
 
 QUICK_STEPS, STEPS = 8, 25
 
@@ -35,16 +36,19 @@ class Effort:
     tried: int
     """Causes that are fitted on each rung, with derivatives of the parent."""
     finished: int
-    """Of these, how many are fitted to the end."""
+    """Of these, how many are fitted to the end; and constants that are begun far from nominal."""
     pairs: int
     """Pairs of causes that are fitted on each rung."""
     exchanged: int
     """Causes that are fitted in the place of each one that a set has, beside its others."""
     rungs: int
     """Causes in a set from which on nothing is added to it; a pair on top of the set before may hold one more."""
+    content: bool
+    """Whether to a set that leaves nothing but noise only what can pay for its prior odds is added."""
 
 
-EFFORTS = {"quick": Effort(6, 2, 1, 1, 2), "full": Effort(12, 4, 3, 3, 3)}
+EFFORTS = {"quick": Effort(tried=6, finished=2, pairs=1, exchanged=1, rungs=2, content=True),
+           "full": Effort(tried=12, finished=4, pairs=3, exchanged=3, rungs=3, content=False)}
 
 
 @dataclass
@@ -136,15 +140,14 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
         share = (min(0.1 + 0.7 * rung / (effort.rungs + 1), 0.8), min(0.1 + 0.7 * (rung + 1) / (effort.rungs + 1), 0.8))
         _climb(search, parent, [c for c in pool if c.key not in parent.key], share, progress)
         best = search.best()
-        if best.key == parent.key:
-            break
+        if len(best.key) <= rung and 2.0 * (search.score(best) - search.score(search.fits[parent.key])) < WORTH_A_FIT:
+            break  # the same set, or one that these runs do not tell from it
         rivals = search.close(1 + effort.finished)[1:]
         best = settled(predictor, best)
         search.weigh(best)
         search.keep(best)
         _refit(search, rivals, False)  # as the best was: where the weighing changed theirs are not comparable
         _look_back(search, best)
-        _look_around(search, best, pool)
         parent = _with_derivatives(search, search.best())
     progress("fitting rivals as far as the best", 0.82)
     _finish(search)
@@ -165,23 +168,26 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], share: tuple[f
     stand in the place of one that it has: what was added first need not be the best beside what came later."""
     predictor, effort = search.predictor, search.effort
     screened, pairs, exchanges = screen(predictor, parent, pool)
+    grows = len(parent.key) < effort.rungs
+    content = effort.content and bool(parent.key) and remainder(predictor, parent).is_noise
+    worth = -2.0 * LOG_PRIOR if content else WORTH_A_FIT
     if not search.screened:
         search.screened = screened
-    grows = len(parent.key) < effort.rungs
     starts: list[tuple[Key | None, tuple[Screened, ...]]] = []
     for less in sorted({exchange.less for exchange in exchanges}):
         others = [e.more for e in exchanges if e.less == less and e.more.gain > WORTH_A_FIT]
-        starts += [(less, (one,)) for one in others[: effort.exchanged]]
+        moved = [one for one in others[effort.exchanged:] if one.candidate.key[0] == less[0]]
+        starts += [(less, (one,)) for one in [*others[: effort.exchanged], *moved]]
     per_key: dict[Key, int] = {}
     for one in screened if grows else []:
         key = one.candidate.key
-        if one.gain < WORTH_A_FIT or key not in per_key and len(per_key) == effort.tried:
+        if one.gain < worth or key not in per_key and len(per_key) == effort.tried:
             continue
         if per_key.get(key, 0) < one.candidate.starts:
             per_key[key] = per_key.get(key, 0) + 1
             starts.append((None, (one,)))
-    starts += [(None, pair) for pair in pairs[: effort.pairs] if grows and pair[0].gain > WORTH_A_FIT]
-    far = rigid_starts(predictor, parent, pool) if grows else []
+    starts += [(None, pair) for pair in pairs[: effort.pairs] if grows and not content and pair[0].gain > WORTH_A_FIT]
+    far = rigid_starts(predictor, parent, pool) if grows and not content else []
     if not parent.key:
         far += far_starts(predictor, pool, effort.finished)
 
@@ -272,29 +278,6 @@ def _look_back(search: Selection, found: Fit) -> None:
                                          found.space.hypothesis.causes):
         if one is not None:
             search.keep(one)
-
-
-def _look_around(search: Selection, found: Fit, pool: Sequence[Candidate]) -> None:
-    """Fit every set with one effect at another of its places, from where it ended: where parts hardly move against each
-    other the same law at another place does nearly the same."""
-    moves = [(old, new) for old in found.space.hypothesis.effects for new in pool
-             if new.effect is old[0] and new.key not in found.key]
-    for one in search.predictor.pool.map(lambda move: _moved(search, found, *move), moves):
-        if one is not None:
-            search.keep(one)
-
-
-def _moved(search: Selection, found: Fit, old: tuple[type[Effect], str], new: Candidate) -> Fit | None:
-    """A set with one effect at another place and its sizes the same; None where that does not simulate."""
-    key = (old[0].name, old[1])
-    hypothesis = found.space.hypothesis.without(key) + new.hypothesis
-    centres, sizes = found.space.values(found.space.mean), found.space.values(found.x)
-    space = parameters(search.predictor.data, hypothesis, {**centres, new.key: centres[key]})
-    with suppress(*LOST):
-        return fit(search.predictor, space, search.loosest(found),
-                   space.carried(found.space, found.x, {new.key: sizes[key]}), found.own, parallel=False,
-                   iterations=STEPS, renewals=4, tolerance=0.2).light
-    return None
 
 
 def _reduced(search: Selection, found: Fit, causes: Causes) -> Fit | None:
