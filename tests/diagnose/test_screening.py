@@ -1,0 +1,87 @@
+"""Screening on runs of the independent generator: what could be added to a fit, and what could stand in its place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from station.diagnose import screening
+from station.diagnose.candidates import Candidate, candidates
+from station.diagnose.screening import Exchange, screen
+from station.diagnose.selection import begun
+from station.estimation.constants import base_fit, unknown
+from station.estimation.dataset import dataset
+from station.estimation.least_squares import Fit, fit, weighing_of
+from station.estimation.observer import observers
+from station.estimation.parameters import Hypothesis, Key, parameters
+from station.estimation.prediction import Predictor
+from station.rig import Rig
+from tests.truth import RIGID_AXIS, TWO_MASS, make_case
+
+FRICTION, DEAD_ZONE = ("coulomb_friction", "motor"), ("dead_zone", "amplifier")
+CURVE = ("gain_curve", "amplifier")
+
+
+@contextmanager
+def predictions(table: dict, seed: int, hidden: Sequence[Key]) -> Iterator[Predictor]:
+    runs = make_case(seed, list(hidden), nominal=table, count=4, band=(400.0, 1e5)).runs
+    data = dataset(Rig.model_validate(table), list(runs))
+    with ThreadPoolExecutor(2) as pool:
+        yield Predictor(data, observers(data.rig, data.noise[0]), pool)
+
+
+def fitted(predictor: Predictor, pool: Sequence[Candidate], causes: Sequence[Key]) -> Fit:
+    """A set of causes, begun at usual sizes, under the weighing that its own errors give."""
+    chosen = [next(c for c in pool if c.key == key) for key in causes]
+    space = parameters(predictor.data, Hypothesis(tuple((c.effect, c.at) for c in chosen if c.effect)),
+                       {c.key: c.guesses[0] for c in chosen})
+    first = fit(predictor, space, unknown(predictor), space.mean)
+    return fit(predictor, space, weighing_of(predictor, first), first.x, first.own)
+
+
+def exchanges(predictor: Predictor, causes: Sequence[Key]) -> tuple[Fit, list[Exchange]]:
+    pool = candidates(predictor.data.rig)
+    parent = fitted(predictor, pool, causes)
+    return parent, screen(predictor, parent, [c for c in pool if c.key not in parent.key])[2]
+
+
+def test_what_should_stand_in_a_causes_place_is_found_beside_the_other() -> None:
+    """A dead zone was taken for a curve beside friction: a parent that has the curve need not lead to it."""
+    with predictions(RIGID_AXIS, 8061, [DEAD_ZONE, FRICTION]) as predictor:
+        parent, found = exchanges(predictor, [CURVE, FRICTION])
+        instead = [one for one in found if one.less == CURVE]
+        assert {one.less for one in found} == {CURVE, FRICTION}
+        assert instead[0].more.candidate.key == DEAD_ZONE
+        assert all(one.more.candidate.key not in parent.key for one in found)
+        exchanged = begun(predictor, parent, [instead[0].more], CURVE)
+        assert exchanged is not None and exchanged.key == {DEAD_ZONE, FRICTION}
+        assert exchanged.objective < parent.objective - 10.0
+
+
+def test_of_a_single_cause_the_same_law_elsewhere_alone_is_looked_at() -> None:
+    """The others were looked at when nothing was in the set yet."""
+    with predictions(TWO_MASS, 8062, [FRICTION]) as predictor:
+        _, found = exchanges(predictor, [FRICTION])
+    assert [(one.less, one.more.candidate.key) for one in found] == [(FRICTION, ("coulomb_friction", "base"))]
+
+
+def test_sizes_of_pairs_are_multiples_of_the_guess_whatever_was_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A guess that would show too plainly is looked at at a smaller size; a pair's sizes are still those of the guess.
+    """
+    sizes = {}
+    with predictions(RIGID_AXIS, 8063, [FRICTION, DEAD_ZONE]) as predictor:
+        parent, pool = base_fit(predictor), candidates(predictor.data.rig)
+        for strong in (np.inf, 1.0):
+            monkeypatch.setattr(screening, "STRONG", strong)
+            for pair in screen(predictor, parent, pool)[1]:
+                if {one.candidate.key for one in pair} == {FRICTION, DEAD_ZONE}:
+                    sizes[strong] = sorted((one.candidate.key, one.guess[next(iter(one.guess))] * one.size)
+                                           for one in pair)
+                    break
+    assert set(sizes) == {np.inf, 1.0}
+    for (_, whole), (_, small) in zip(sizes[np.inf], sizes[1.0], strict=True):
+        assert 0.4 < small / whole < 2.5
