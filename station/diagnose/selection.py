@@ -169,7 +169,7 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], share: tuple[f
     predictor, effort = search.predictor, search.effort
     screened, pairs, exchanges = screen(predictor, parent, pool)
     grows = len(parent.key) < effort.rungs
-    content = effort.content and remainder(predictor, parent).is_noise
+    content = effort.content and bool(parent.key) and remainder(predictor, parent).is_noise
     worth = -2.0 * LOG_PRIOR if content else WORTH_A_FIT
     if not search.screened:
         search.screened = screened
@@ -188,7 +188,7 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], share: tuple[f
             starts.append((None, (one,)))
     starts += [(None, pair) for pair in pairs[: effort.pairs] if grows and not content and pair[0].gain > WORTH_A_FIT]
     far = rigid_starts(predictor, parent, pool) if grows and not content else []
-    if not parent.key and not content:
+    if not parent.key:
         far += far_starts(predictor, pool, effort.finished)
 
     def quick(start: tuple[Key | None, tuple[Screened, ...]]) -> Fit | None:
