@@ -187,7 +187,7 @@ def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
     clock = predictor.data.clock
     for candidate in pool:
         if candidate.effect is None:
-            found.append(_freed(predictor, parent, candidate, known))
+            found.append(_freed(predictor, parent, candidate))
         elif candidate.effect.stage is Stage.CLOCK and clock is not None:
             ratio, error = clock
             found.append(Screened(candidate, {"ratio": ratio}, ((ratio - 1.0) / error) ** 2, 1.0, error**-2))
@@ -266,7 +266,7 @@ def _in_place(predictor: Predictor, parent: Fit, rows: Sequence[_Row]) -> list[E
     return found
 
 
-def _freed(predictor: Predictor, parent: Fit, candidate: Candidate, known: _Eliminated) -> Screened:
+def _freed(predictor: Predictor, parent: Fit, candidate: Candidate) -> Screened:
     """Expected gain of setting one constant free: only its prior changes."""
     base = parent.space
     space = parameters(predictor.data, base.hypothesis + candidate.hypothesis, base.values(base.mean))
