@@ -267,6 +267,12 @@ class Rig(_Table):
             return self
         return self.with_elements(min(math.ceil(self._wanted_elements(self.beam)), MAX_ELEMENTS))
 
+    def with_fixed_mesh(self) -> Rig:
+        """A copy that keeps its elements, whatever its constants become."""
+        if self.beam is None:
+            return self
+        return self._copy({"beam": self.beam.model_copy(update={"mesh": "as_stated"})})
+
     def remeshed(self) -> Rig:
         """A copy with its elements doubled as often as its constants have left those that the mesh was made for.
 

@@ -136,7 +136,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
         runs=[RunFile(run=run.name) for run in given],
         ranking=[Ranked(effect=r.effect, at=r.at, probability=min(r.probability, 1.0), note=r.note) for r in ranking])
     drawn = runs[:1] if windows else [run for run, warm in zip(runs, data.warm, strict=True) if not warm]
-    pictures = evidence(refit_rig, extended, drawn, [(c.effect, c.at) for c in causes]) if drawn else []
+    pictures = evidence(refit_rig, extended, drawn, [(c.effect, c.at) for c in causes], pool) if drawn else []
     report("done", 1.0)
     return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, ranking, pictures, constants,
                            _notes(rig, search, left, said, spoken, gains + relieved / len(gains)), 0.0,

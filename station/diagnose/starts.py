@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -92,8 +92,12 @@ def far_starts(predictor: Predictor, pool: Sequence[Candidate], most: int) -> li
 
 
 def _profiles(predictor: Predictor, constants: Sequence[Candidate]) -> list[tuple[float, float]]:
-    """Of each constant the least objective along it, and how many sigmas from nominal it lies."""
-    part = predictor.on(beginning(predictor.data, SECONDS))
+    """Of each constant the least objective along it, and how many sigmas from nominal it lies.
+
+    On one mesh: a place to begin needs none that is finer.
+    """
+    data = beginning(predictor.data, SECONDS)
+    part = predictor.on(replace(data, rig=data.rig.with_fixed_mesh()))
     weighing = unknown(part)
 
     def profile(candidate: Candidate) -> tuple[float, float]:

@@ -41,6 +41,9 @@ OFFSET_STEP = 0.1
 LARGEST = np.array([0.3, 0.01])
 """Most by which runs differ: a share of the command (what the voltage of a supply that nothing regulates, a battery or
 a wall adapter, may differ by from one day to another), and of the amplifier's limit (an offset of its input)."""
+GRID = 7
+"""Sizes of either kind, of which the best pair is where the most likely ones are sought: two units of the logarithm
+apart."""
 SIZES = 30
 """Sizes, evenly spaced in the logarithm, over which a density is averaged: half a unit apart."""
 LONGEST = 2.0
@@ -158,11 +161,12 @@ class Fit:
         matrices, slopes = self._by_run(weighing, drawn)
         return self._eliminated(matrices, slopes, self.own_precision(weighing.differ))[:2]
 
-    def own_precision(self, differ: tuple[float, float]) -> np.ndarray:
-        """(runs, c) prior precisions of what runs have of their own where they differ by so much."""
-        found = self.nuisance.copy()
-        if len(found) >= SEVERAL:
-            found[:, -2:] = differ_precision(differ)
+    def own_precision(self, sizes: tuple[float, float] | np.ndarray) -> np.ndarray:
+        """(..., runs, c) prior precisions of what runs have of their own where they differ by ``sizes`` (..., 2)."""
+        differ = np.asarray(sizes, dtype=float)
+        found = np.broadcast_to(self.nuisance, (*differ.shape[:-1], *self.nuisance.shape)).copy()
+        if len(self.nuisance) >= SEVERAL:
+            found[..., -2:] = differ_precision(differ)[..., None, :]
         return found
 
     def _by_run(self, weighing: Weighing, drawn: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -177,64 +181,72 @@ class Fit:
 
     def _eliminated(self, matrices: np.ndarray, slopes: np.ndarray, own: np.ndarray,
                     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Normal matrices and gradients of the parameters alone, run by run; (runs, c, c) the inverse precisions of
-        what runs have of their own at given parameters, and (runs, c) their forces."""
+        """Normal matrices and gradients of the parameters alone, run by run; (..., runs, c, c) the inverse precisions
+        of what runs have of their own at given parameters, and (..., runs, c) their forces."""
         p = self.space.size
-        inverse = np.linalg.inv(matrices[:, p:, p:] + own[:, :, None] * np.eye(own.shape[1]))
+        inverse = np.linalg.inv(matrices[:, p:, p:] + own[..., None] * np.eye(own.shape[-1]))
         force = slopes[:, p:] - own * self.away
         across = matrices[:, :p, p:] @ inverse
         return (matrices[:, :p, :p] - across @ matrices[:, p:, :p],
-                slopes[:, :p] - (across @ force[:, :, None])[:, :, 0], inverse, force)
+                slopes[:, :p] - (across @ force[..., None])[..., 0], inverse, force)
 
     def _stepped(self, matrices: np.ndarray, slopes: np.ndarray, own: np.ndarray,
                  ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """One Gauss-Newton step from the fit: the posterior's precision (p, p), the parameters' step (p), that of what
-        runs have of their own (runs, c), and inverse precisions of that (runs, c, c)."""
+        """One Gauss-Newton step from the fit: the posterior's precision (..., p, p), the parameters' step (..., p),
+        that of what runs have of their own (..., runs, c), and inverse precisions of that (..., runs, c, c)."""
         p, prior = self.space.size, self.space.precision
         normals, gradients, inverse, force = self._eliminated(matrices, slopes, own)
-        matrix = normals.sum(axis=0) + np.diag(prior)
-        step = np.linalg.solve(matrix, gradients.sum(axis=0) - prior * (self.x - self.space.mean))
-        return matrix, step, (inverse @ (force - matrices[:, p:, :p] @ step)[:, :, None])[:, :, 0], inverse
+        matrix = normals.sum(axis=-3) + np.diag(prior)
+        pull = gradients.sum(axis=-2) - prior * (self.x - self.space.mean)
+        step = np.linalg.solve(matrix, pull[..., None])[..., 0]
+        back = matrices[:, p:, :p] @ step[..., None, :, None]
+        return matrix, step, (inverse @ (force[..., None] - back))[..., 0], inverse
 
     def _integrated(self, matrices: np.ndarray, slopes: np.ndarray, own: np.ndarray, most_gained: float = np.inf,
-                    ) -> tuple[float, float, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-        """By Laplace's approximation, one Gauss-Newton step from the fit: what is added to -2 ln L there, priors
-        included; ln of the squared volume that the data leave of the priors'; and the step (``_stepped``)."""
+                    ) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """By Laplace's approximation, one Gauss-Newton step from the fit, for each of the prior precisions ``own``
+        (..., runs, c): what is added to -2 ln L there, priors included; ln of the squared volume that the data leave of
+        the priors', both (...); and the step (``_stepped``)."""
         prior = self.space.precision
         matrix, step, moved, inverse = stepped = self._stepped(matrices, slopes, own)
-        whole = np.concatenate([np.broadcast_to(step, (len(moved), len(step))), moved], axis=1)
-        gained = float(np.sum(whole * (2.0 * slopes - (matrices @ whole[:, :, None])[:, :, 0])))
-        value = (float(prior @ (self.x - self.space.mean + step) ** 2) - min(gained, most_gained)
-                 + float(np.sum(own * (self.away + moved) ** 2)))
-        volume = (float(np.sum(np.log(prior))) - float(np.linalg.slogdet(matrix)[1])
-                  + float(np.sum(np.log(own))) + float(np.linalg.slogdet(inverse)[1].sum()))
+        shared = np.broadcast_to(step[..., None, :], (*moved.shape[:-1], step.shape[-1]))
+        whole = np.concatenate([shared, moved], axis=-1)
+        gained = np.sum(whole * (2.0 * slopes - (matrices @ whole[..., None])[..., 0]), axis=(-2, -1))
+        value = ((self.x - self.space.mean + step) ** 2 @ prior - np.minimum(gained, most_gained)
+                 + np.sum(own * (self.away + moved) ** 2, axis=(-2, -1)))
+        volume = (np.sum(np.log(prior)) - np.linalg.slogdet(matrix)[1]
+                  + np.sum(np.log(own), axis=(-2, -1)) + np.sum(np.linalg.slogdet(inverse)[1], axis=-1))
         return value, volume, stepped
 
     def most_likely_differ(self, weighing: Weighing) -> tuple[float, float]:
         """How much runs differ in what the motor does more than the rig says (``Weighing.differ``).
 
         Empirical Bayes (Gelman et al., section 13.6), about the fit: of highest marginal likelihood, parameters and
-        what runs have of their own integrated out.  Its slope follows from the runs' squares and what these leave
-        uncertain (the identity behind expectation and maximisation: Dempster, Laird and Rubin, J. R. Stat. Soc. B 39,
-        1977); these rounds themselves take hundreds to arrive where runs are alike.
+        what runs have of their own integrated out.  It has more than one mode: where all runs of a fit have moved the
+        same way, a gain that differs stands in for one that is off.  So the best point of a grid is where it begins.
+        Its slope follows from the runs' squares and what these leave uncertain (the identity behind expectation and
+        maximisation: Dempster, Laird and Rubin, J. R. Stat. Soc. B 39, 1977); these rounds themselves take hundreds to
+        arrive where runs are alike.
         """
         if len(self.squares) < SEVERAL:
             return 0.0, 0.0
         p, (matrices, slopes) = self.space.size, self._by_run(weighing)
-        largest = largest_differ(self.space.rig)
+        ends = np.log([np.full(2, LEAST_DIFFERENCE), largest_differ(self.space.rig)])
 
         def surprise(logs: np.ndarray) -> tuple[float, np.ndarray]:
             sizes = np.exp(logs)
-            own = self.own_precision((sizes[0], sizes[1]))
-            value, volume, (matrix, _, moved, inverse) = self._integrated(matrices, slopes, own)
+            value, volume, (matrix, _, moved, inverse) = self._integrated(matrices, slopes, self.own_precision(sizes))
             coupled = inverse @ matrices[:, p:, :p]
             variance = np.diagonal(inverse + coupled @ np.linalg.solve(matrix, coupled.transpose(0, 2, 1)),
                                    axis1=1, axis2=2)
             found = np.sum(((self.away + moved) ** 2 + variance)[:, -2:], axis=0)
-            return value - volume, 2.0 * (len(moved) - found / sizes**2)
+            return float(value - volume), 2.0 * (len(moved) - found / sizes**2)
 
-        bounds = [(np.log(LEAST_DIFFERENCE), end) for end in np.log(largest)]
-        sizes = np.exp(minimize(surprise, np.log(largest), jac=True, method="L-BFGS-B", bounds=bounds).x)
+        shares, constants = np.linspace(ends[0], ends[1], GRID).T
+        grid = np.stack(np.meshgrid(shares, constants), axis=-1).reshape(-1, 2)
+        value, volume, _ = self._integrated(matrices, slopes, self.own_precision(np.exp(grid)))
+        begun = grid[np.argmin(value - volume)]
+        sizes = np.exp(minimize(surprise, begun, jac=True, method="L-BFGS-B", bounds=ends.T).x)
         return float(sizes[0]), float(sizes[1])
 
     def log_narrowing(self, weighing: Weighing) -> float:
@@ -246,19 +258,15 @@ class Fit:
         """
         if len(self.squares) < SEVERAL:
             return 0.0
-        (matrices, slopes), found = self._by_run(weighing), 0.0
-        largest = largest_differ(self.space.rig)
-
-        def log_density(differ: np.ndarray) -> float:
-            value, volume, _ = self._integrated(matrices, slopes, self.own_precision((differ[0], differ[1])))
-            return 0.5 * (volume - value)
-
-        most = log_density(np.array(weighing.differ))
+        (matrices, slopes), largest = self._by_run(weighing), largest_differ(self.space.rig)
+        found = np.array(weighing.differ)
+        sizes = np.tile(found, (2, SIZES, 1))
         for k, end in enumerate(largest):
-            sizes = np.exp(np.linspace(np.log(LEAST_DIFFERENCE), np.log(end), SIZES))
-            others = [log_density(np.where(np.arange(2) == k, size, weighing.differ)) - most for size in sizes]
-            found += float(np.log(np.trapezoid(np.exp(np.minimum(others, 0.0))) / (SIZES - 1)))
-        return found
+            sizes[k, :, k] = np.exp(np.linspace(np.log(LEAST_DIFFERENCE), np.log(end), SIZES))
+        value, volume, _ = self._integrated(matrices, slopes, self.own_precision(np.vstack([found, *sizes])))
+        log_density = 0.5 * (volume - value)
+        others = np.minimum(log_density[1:] - log_density[0], 0.0).reshape(2, SIZES)
+        return float(np.sum(np.log(np.trapezoid(np.exp(others), axis=1) / (SIZES - 1))))
 
     @cached_property
     def precision(self) -> np.ndarray:
@@ -278,7 +286,7 @@ class Fit:
         squares, counts, independent = self.drawn(weighing, drawn)
         value, volume, _ = self._integrated(*self._by_run(weighing, drawn), self.own_precision(weighing.differ),
                                             MOST_GAINED)
-        return -0.5 * (value + cost(squares, counts, independent) / weighing.temperature) + 0.5 * volume
+        return float(0.5 * (volume - value)) - 0.5 * cost(squares, counts, independent) / weighing.temperature
 
 MOST_GAINED = 20.0
 """What a step that is not simulated may promise of the data's part of the objective."""

@@ -174,6 +174,6 @@ def nuisance_precision(data: Dataset, differ: tuple[float, float]) -> np.ndarray
     return np.stack([*found, *np.outer(differ_precision(differ), np.ones_like(offset))], axis=1)[:, data.free]
 
 
-def differ_precision(differ: tuple[float, float]) -> np.ndarray:
-    """(2) prior precisions of what the motor does more in a run, a share and a constant."""
+def differ_precision(differ: tuple[float, float] | np.ndarray) -> np.ndarray:
+    """(..., 2) prior precisions of what the motor does more in a run, a share and a constant."""
     return np.maximum(differ, LEAST_DIFFERENCE) ** -2.0

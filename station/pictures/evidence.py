@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -72,20 +73,22 @@ class _Cause(NamedTuple):
     runs: list[Run]
 
 
-def evidence(rig: Rig, extended_rig: Rig, runs: Sequence[Run], causes: Sequence[tuple[str, str]]) -> list[Evidence]:
+def evidence(rig: Rig, extended_rig: Rig, runs: Sequence[Run], causes: Sequence[tuple[str, str]],
+             pool: Executor | None = None) -> list[Evidence]:
     """The pictures of each cause (effect or "parameter:TABLE.KEY", at), then the sceptic's view of the worst run.
 
     ``rig``: re-fitted without any cause; ``extended_rig``: with all.  A cause that the extended rig does not hold is
     passed over.  Without causes the whole sceptic's view is given: the torque that is missing at the motor against
-    time, speed, angle, command and frequency.
+    time, speed, angle, command and frequency.  ``pool``: threads over which the runs are spread.
     """
     runs, found = list(runs), []
     for name, at in causes:
         cause = _cause(rig, extended_rig, runs, name, at)
         if cause is not None:
             found += _pictures(cause)
-    estimates = [(missing_torque(rig, run), run) for run in runs]
-    worst, run = max(estimates, key=lambda pair: float(np.mean(pair[0].torque ** 2)), default=(None, None))
+    torques = list((pool.map if pool else map)(lambda run: missing_torque(rig, run), runs))
+    pairs = list(zip(torques, runs, strict=True))
+    worst, run = max(pairs, key=lambda pair: float(np.mean(pair[0].torque ** 2)), default=(None, None))
     if worst is not None and run is not None:
         found += sceptics_view(worst, run, "motor")[: 1 if found else None]
     return found

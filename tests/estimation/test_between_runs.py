@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from station.estimation.dataset import dataset
-from station.estimation.least_squares import Fit, fit, weighing_of
+from station.estimation.least_squares import Fit, fit, largest_differ, weighing_of
 from station.estimation.likelihood import Weighing
 from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
 from station.estimation.prediction import Predictor
 from station.estimation.spread import differences
 from station.model.effects import effect_class
+from station.rig import Rig
 from tests.estimation.made import AXIS, run_of
 
 BIAS = effect_class("command_bias")
@@ -28,17 +29,23 @@ SHARES = np.array([0.025, -0.02, 0.015, -0.025, 0.02, -0.01])
 VARIES = 5.41
 
 
-def fitted(offsets: Sequence[float], shares: Sequence[float], effects: tuple = ()) -> Fit:
-    """The axis fitted to six runs, each with a bias and a motor gain of its own; how much they differ is estimated."""
+def fitted(offsets: Sequence[float], shares: Sequence[float], effects: tuple = (), rig: Rig = AXIS,
+           begun: tuple[float, float] | None = None) -> Fit:
+    """The axis fitted to six runs, each with a bias and a motor gain of its own; how much they differ is estimated.
+
+    ``begun``: fitted with differences of that size, once, and not again with the estimate.
+    """
     runs = []
     for k, ((amplitude, controller), offset, share) in enumerate(zip(TESTS, offsets, shares, strict=True)):
         true = AXIS.with_constants({"motor.gain": AXIS.motor.gain * (1.0 + share)})
         runs.append(run_of(true.with_effects([BIAS(at="amplifier", offset=offset)]), amplitude, controller, f"run {k}"))
     with ThreadPoolExecutor(1) as pool:
-        predictor = Predictor(dataset(AXIS, runs), observers(AXIS, 0.0), pool)
-        weighing = Weighing(predictor.counts, 1.0)
+        predictor = Predictor(dataset(rig, runs), observers(rig, 0.0), pool)
+        weighing = Weighing(predictor.counts, 1.0, begun or (0.0, 0.0))
         space = parameters(predictor.data, Hypothesis(effects), {KEY: {"offset": 1.0}})
         found = fit(predictor, space, weighing, space.mean.copy())
+        if begun:
+            return replace(found, weighing=weighing_of(predictor, found))
         for _ in range(3):
             found = fit(predictor, space, weighing_of(predictor, found), found.x, found.own)
         return found
@@ -83,6 +90,20 @@ def test_sizes_are_the_most_likely_ones(offsets: np.ndarray) -> None:
     for share in (1e-6, 1e-4, 1e-3, 1e-2, 0.1):
         for constant in (1e-6, 1e-3, 1e-2, 0.1, 1.0, 2.0):
             assert found.log_evidence(replace(found.weighing, differ=(share, constant))) < best + 0.05
+
+
+@pytest.mark.parametrize(("share", "sigma"), [(0.25, 0.02), (0.2, 0.02), (0.25, 0.03)])
+def test_sizes_are_those_of_the_highest_of_two_modes(share: float, sigma: float) -> None:
+    """A gain that is off in all runs alike, begun from runs that differ: they are alike and the gain is off, or they
+    differ, by as much.  Which is likelier hangs on the gain's uncertainty; between lies what is unlikely."""
+    certain = AXIS.model_copy(update={"uncertainty": {"default": 0.001, "motor.gain": sigma}})
+    largest = largest_differ(certain)
+    found = fitted(np.zeros(6), np.full(6, share), rig=certain, begun=(largest[0], largest[1]))
+    size, constant = found.most_likely_differ(found.weighing)
+    best = found.log_evidence(replace(found.weighing, differ=(size, constant)))
+    along = [found.log_evidence(replace(found.weighing, differ=(one, constant))) for one in np.geomspace(1e-6, 0.3, 40)]
+    assert min(along[10:-1]) < min(along[0], along[-1]) - 1.0, "the case has two modes"
+    assert max(along) < best + 0.05
 
 
 def test_without_a_step_left_to_take_the_evidence_is_that_of_the_fit(varied: Fit) -> None:

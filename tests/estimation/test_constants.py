@@ -48,9 +48,9 @@ def test_starts_from_the_prior_end_in_one_minimum_and_say_so(predictor: Predicto
     assert found.space.rig_at(found.x).motor.inertia == AXIS.motor.inertia
 
 
-def test_how_much_runs_differ_is_read_off_a_fit_that_lets_them() -> None:
+def test_how_much_runs_differ_is_found_wherever_the_fit_begins() -> None:
     """Runs of a disturbed arm: begun with runs that may not differ, the fit takes what each has of its own for errors
-    so large that freeing it seems to buy nothing."""
+    so large that freeing it a little seems to buy nothing."""
     case = make_case(930007, [("sublinear_drag", "motor")], count=None, band="subtle", disturbance=0.02,
                      sized_in_world=True)
     runs = [case.runs[i] for i in canonical_order(case.runs)]
@@ -60,10 +60,9 @@ def test_how_much_runs_differ_is_read_off_a_fit_that_lets_them() -> None:
         found = base_fit(predictor)
         space = found.space
         alike = Weighing(BEGIN * predictor.counts, 1.0)
-        shut = settled(predictor, fit(predictor, space, alike, space.mean, tolerance=1.0))
-        again = settled(predictor, fit(predictor, space, unknown(predictor), space.mean, tolerance=1.0))
-    weighing = found.weighing
-    assert weighing.differ[1] > 0.1 > 1e-3 > shut.weighing.differ[1]
-    assert found.log_evidence(weighing) > again.log_evidence(weighing) - 1.0
-    freed, kept = (found.squares[:, 2] / found.counts[:, 2]).mean(), (shut.squares[:, 2] / shut.counts[:, 2]).mean()
-    assert freed < 0.5 * kept
+        shut, again = (settled(predictor, fit(predictor, space, begun, space.mean, tolerance=1.0))
+                       for begun in (alike, unknown(predictor)))
+    for other in (shut, again):
+        assert other.weighing.differ[1] == pytest.approx(found.weighing.differ[1], rel=0.3)
+        assert found.log_evidence(found.weighing) > other.log_evidence(found.weighing) - 1.0
+    assert found.weighing.differ[1] > 0.1
