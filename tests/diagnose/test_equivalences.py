@@ -324,6 +324,6 @@ def test_no_test_is_proposed_where_only_equivalents_are_left():
 
 
 def test_the_docs_hold_the_table():
-    text = (ROOT / "docs" / "diagnosis.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "equivalences.md").read_text(encoding="utf-8")
     assert equivalences.as_markdown() in text
     assert len({e.name for e in TABLE}) == len(TABLE)
