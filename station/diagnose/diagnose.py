@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import replace
-from typing import Literal
+from functools import partial
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -53,13 +56,20 @@ from station.estimation.parameters import Causes, Key
 from station.estimation.prediction import SEARCH, Predictor, predict_run
 from station.estimation.spread import differences
 from station.model.simulate import Simulation, build
-from station.pictures.evidence import evidence
 from station.rig import Rig
 from station.runs.run import Run
 
+if TYPE_CHECKING:
+    from station.pictures.evidence import Evidence
+
+THREADS = 2
+TURN = 1e-4
+"""Seconds after which a thread that runs Python lets another one do so: what a short prediction takes (Python's own
+5 ms leave the threads idle by turns)."""
+
 
 def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
-             progress: Callable[[str, float], None] | None = None, threads: int = 2) -> DiagnosisResult:
+             progress: Callable[[str, float], None] | None = None, threads: int = THREADS) -> DiagnosisResult:
     """Diagnose a rig from its runs; more ``threads`` than two gain little.
 
     The same runs give the same answer, whatever their order, the number of threads or the linear algebra's: runs are
@@ -70,9 +80,20 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     if effort not in EFFORTS:
         raise UsageError(f"--effort: {effort!r} is none of {', '.join(EFFORTS)}")
     order = canonical_order(runs) if runs else []
-    with threadpool_limits(1), ThreadPoolExecutor(threads) as pool:
+    with threadpool_limits(1), _taking_turns(), ThreadPoolExecutor(threads) as pool:
         found = _diagnose(rig, [runs[i] for i in order], effort, progress or (lambda text, share: None), pool)
     return _in_order_of(found, [runs[i].name for i in order], order, time.perf_counter() - begun)
+
+
+@contextmanager
+def _taking_turns() -> Iterator[None]:
+    """Let no thread that comes back from compiled code wait for Python longer than that code took."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(TURN)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(before)
 
 
 def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str, float], None],
@@ -136,12 +157,19 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
         runs=[RunFile(run=run.name) for run in given],
         ranking=[Ranked(effect=r.effect, at=r.at, probability=min(r.probability, 1.0), note=r.note) for r in ranking])
     drawn = runs[:1] if windows else [run for run, warm in zip(runs, data.warm, strict=True) if not warm]
-    pictures = evidence(refit_rig, extended, drawn, [(c.effect, c.at) for c in causes], pool) if drawn else []
+    draw = partial(_drawn, refit_rig, extended, drawn, [(c.effect, c.at) for c in causes])
     report("done", 1.0)
-    return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, ranking, pictures, constants,
+    return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, ranking, draw, constants,
                            _notes(rig, search, left, said, spoken, gains + relieved / len(gains)), 0.0,
                            choice.plan, choice.unseen, choice.prediction,
                            [row.equivalence.sentence for row in known] if causes else [])
+
+
+def _drawn(rig: Rig, extended: Rig, runs: Sequence[Run], causes: Sequence[tuple[str, str]]) -> list[Evidence]:
+    from station.pictures.evidence import evidence  # slow to import, and not always wanted
+
+    with threadpool_limits(1), ThreadPoolExecutor(THREADS) as pool:
+        return evidence(rig, extended, runs, causes, pool) if runs else []
 
 
 def _fitted(search: Selection, said: Stated, whole: Causes) -> tuple[Stated, Fit, Fit, Remainder]:

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from station.diagnose.result import Estimate
 from station.diagnose.selection import Selection
@@ -187,7 +187,7 @@ def estimates(found: Fit, rougher: Fit | None = None, left_out: Sequence[Fit] = 
 
     def jackknife(direction: np.ndarray) -> float:
         values = without @ direction if len(without) >= SEVERAL else np.zeros(1)
-        wider = float(student.ppf(0.975, max(len(values) - 1, 1))) / NORMAL
+        wider = float(stdtrit(max(len(values) - 1, 1), 0.975)) / NORMAL
         return wider * math.sqrt((len(values) - 1) * float(np.var(values)))
     log_sd = np.sqrt(np.diag(space.root @ covariance[:n, :n] @ space.root.T) + (space.root @ shift[:n]) ** 2)
     constants = {}

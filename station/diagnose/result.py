@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from station import __version__, markup
 from station.model.simulate import Simulation
-from station.pictures.evidence import Evidence
 from station.rig import Rig
 from station.runs.run import Run
+
+if TYPE_CHECKING:
+    from station.pictures.evidence import Evidence
 
 Verdict = Literal["explained", "partly_explained", "unexplained", "nothing_missing", "ambiguous", "not_enough_data"]
 
@@ -220,7 +224,8 @@ class DiagnosisResult:
     extended_rig: Rig
     comparisons: list[RunComparison]
     ranking: list[RankedCause] = field(default_factory=list)
-    evidence: list[Evidence] = field(default_factory=list)
+    draw: Callable[[], list[Evidence]] = list
+    """Makes the pictures, which a diagnosis that is not looked at does without."""
     constants: dict[str, Estimate] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     seconds: float = 0.0
@@ -232,6 +237,11 @@ class DiagnosisResult:
     """What the leading rivals say of it."""
     equivalences: list[str] = field(default_factory=list)
     """What is known to be the same as the causes named, in sentences."""
+
+    @cached_property
+    def evidence(self) -> list[Evidence]:
+        """The pictures of each cause, then the sceptic's view."""
+        return self.draw()
 
     def _repr_html_(self) -> str:
         found = self.diagnosis

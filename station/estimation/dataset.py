@@ -7,6 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,6 +39,20 @@ SEVERAL = 3
 """Runs from which on they can tell how much they differ."""
 UNROUNDED = 0.3
 """Noise of an encoder, counts, from which on its rounding errors are independent from sample to sample (Widrow)."""
+
+
+class Logs(NamedTuple):
+    """What predictions need of several logs, one after another (N rows in all)."""
+
+    first: np.ndarray
+    """(runs + 1) int64: where each run's rows begin."""
+    encoder: np.ndarray
+    command: np.ndarray
+    """(N) counts."""
+    logged: np.ndarray
+    """(N) bool."""
+    warm: np.ndarray
+    """(runs) int64: rows in which an observer finds the state."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +117,17 @@ class Dataset:
         return np.flatnonzero([True, self.has_accel, *[len(self.runs) >= SEVERAL] * 2])
 
     @cached_property
+    def logs(self) -> Logs:
+        """All runs' rows."""
+        return joined([m[0] for m in self.measured], [run.command for run in self.runs], self.logged, self.warm)
+
+    @cached_property
+    def log(self) -> tuple[Logs, ...]:
+        """Every run's rows by themselves."""
+        return tuple(joined([m[0]], [run.command], [logged], [warm]) for m, run, logged, warm in
+                     zip(self.measured, self.runs, self.logged, self.warm, strict=True))
+
+    @cached_property
     def finder(self) -> Observer:
         """Finds the state of a rig that is in motion when a log begins."""
         return observers(self.rig, self.noise[0], (FINDS,))[0]
@@ -120,6 +146,14 @@ class Dataset:
     def counts(self) -> np.ndarray:
         """(runs, c) independent errors of the sensors."""
         return np.array([share.sum(axis=1) for share in self.share])
+
+
+def joined(encoder: Sequence[np.ndarray], command: Sequence[np.ndarray], logged: Sequence[np.ndarray],
+           warm: Sequence[int]) -> Logs:
+    """Several runs' rows, one after another."""
+    first = np.concatenate([[0], np.cumsum([len(e) for e in encoder])]).astype(np.int64)
+    return Logs(first, np.concatenate(encoder).astype(float), np.concatenate(command).astype(float),
+                np.concatenate(logged).astype(bool), np.array(warm, dtype=np.int64))
 
 
 def canonical_order(runs: Sequence[Run]) -> list[int]:

@@ -33,11 +33,12 @@ by which its N are divided; those of all kinds together say by how much these co
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal, special
+from scipy import special
 
 from station.estimation.dataset import Dataset
 
@@ -55,6 +56,8 @@ LEAST_DIFFERENCE = 1e-6
 """Share of the command, and counts, by which runs differ where they do not."""
 ROUNDS = 3
 """In which sizes and numbers of independent errors settle."""
+TAPER = 0.1
+"""Share of a series that fades in and out before its spectrum is taken."""
 TEMPERATURES = 4
 """Rounds in which a temperature and the precision that it enters settle."""
 
@@ -121,9 +124,17 @@ def correlation(errors: np.ndarray) -> float:
     do, E P^2 = 2 S^2, so sum S^2 is taken to be sum P^2/2: not smoothed, for the errors of a whole run often hold no
     more than a few swings, which a smoothing width would spread.
     """
-    power = np.abs(np.fft.rfft(errors * signal.windows.tukey(len(errors), 0.1))) ** 2
+    power = np.abs(np.fft.rfft(errors * tapered(len(errors)))) ** 2
     total = float(power.sum())
     return max(0.5 * len(power) * float(np.sum((power / total) ** 2)), 1.0) if total > 0.0 else 1.0
+
+
+@functools.lru_cache(maxsize=64)
+def tapered(size: int) -> np.ndarray:
+    """(n) Tukey's window, a cosine over a tenth of it (Bloomfield, Fourier Analysis of Time Series, 2nd ed. 2000,
+    section 6.2); SciPy's, without the second that scipy.signal takes to import."""
+    place = np.minimum(np.arange(size), np.arange(size)[::-1]) / (0.5 * TAPER * max(size - 1, 1))
+    return 0.5 - 0.5 * np.cos(np.pi * np.minimum(place, 1.0))
 
 
 def blocks_independent(squares: np.ndarray, counts: np.ndarray, power: np.ndarray, residuals: list[np.ndarray],

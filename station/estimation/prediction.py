@@ -14,10 +14,11 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
-from station.estimation.dataset import Dataset
+from station.estimation.dataset import Dataset, Logs
 from station.estimation.likelihood import blocks_independent
 from station.estimation.observer import Observer
 from station.estimation.parameters import Parameters
@@ -37,86 +38,102 @@ SPAN = math.pi
 
 
 @kernel()
-def _predict(plan, fresh, state, gain, torque_gain, decay, warm, span, offset, command, further, measured, logged,
-             predicted, disturbance, work):
-    horizons, plain = predicted.shape[0], is_plain(plan)
-    for horizon in range(horizons):
-        _restart(fresh, state)
-        begin(plan, state)
-        d = 0.0
-        for row in range(command.size):
-            used = horizons if row < warm else horizon
-            if row == warm:
-                d = 0.0
-            if plain:
-                encoder, accel = sense_plain(plan, state, offset)
-            else:
-                encoder, accel = sense(plan, state, offset, False)
-            predicted[horizon, 0, row], predicted[horizon, 1, row] = encoder, accel
-            if torque_gain[used] != 0.0:
-                error = 0.0
-                if logged[row]:
-                    error = min(max(measured[0, row] - encoder, -span), span)
-                for i in range(state.z.size):
-                    state.z[i] += gain[used, i] * error
-                d = decay[used] * (d + torque_gain[used] * error)
-            disturbance[horizon, row] = d
-            if plain:
-                advance_plain(plan, state, command[row] + further[row] + d)
-            else:
-                advance(plan, state, command[row], further[row] + d, work)
+def _predict(plan, fresh, state, gain, torque_gain, decay, span, logs, own, accel_at, out, disturbance, work):
+    blocks, horizons, plain = out.size // logs.command.size, accel_at.size, is_plain(plan)
+    for run in range(len(own)):
+        rows = logs.first[run + 1] - logs.first[run]
+        for horizon in range(horizons):
+            _restart(fresh, run, state)
+            begin(plan, state)
+            d = 0.0
+            angles = blocks * logs.first[run] + horizon * rows
+            accels = blocks * logs.first[run] + accel_at[horizon] * rows
+            for i in range(rows):
+                row = logs.first[run] + i
+                used = horizons if i < logs.warm[run] else horizon
+                if i == logs.warm[run]:
+                    d = 0.0
+                if plain:
+                    encoder, accel = sense_plain(plan, state, own[run, 1])
+                else:
+                    encoder, accel = sense(plan, state, own[run, 1], False)
+                out[angles + i] = encoder
+                if accel_at[horizon] >= 0:
+                    out[accels + i] = accel
+                if torque_gain[used] != 0.0:
+                    error = 0.0
+                    if logs.logged[row]:
+                        error = min(max(logs.encoder[row] - encoder, -span), span)
+                    for k in range(state.z.size):
+                        state.z[k] += gain[used, k] * error
+                    d = decay[used] * (d + torque_gain[used] * error)
+                if disturbance.size > 0:
+                    disturbance[horizons * logs.first[run] + horizon * rows + i] = d
+                command = logs.command[row]
+                more = own[run, 2] * command + own[run, 3]
+                if plain:
+                    advance_plain(plan, state, command + more + d)
+                else:
+                    advance(plan, state, command, more + d, work)
 
 
 @kernel()
-def _restart(fresh, state):
-    for i in range(fresh.z.size):
-        state.z[i] = fresh.z[i]
-    for i in range(fresh.torque.size):
-        state.torque[i] = fresh.torque[i]
-    for i in range(fresh.effects.size):
-        state.effects[i] = fresh.effects[i]
-    for i in range(fresh.commands.size):
-        state.commands[i] = fresh.commands[i]
-    for i in range(fresh.clock.size):
-        state.clock[i] = fresh.clock[i]
-    for i in range(fresh.last.size):
-        state.last[i] = fresh.last[i]
+def _restart(fresh, run, state):
+    z, effects, last = fresh
+    for i in range(state.z.size):
+        state.z[i] = z[run, i]
+    for i in range(state.effects.size):
+        state.effects[i] = effects[run, i]
+    for i in range(state.last.size):
+        state.last[i] = last[run, i]
+    for i in range(state.torque.size):
+        state.torque[i] = 0.0
+    for i in range(state.commands.size):
+        state.commands[i] = 0.0
+    for i in range(state.clock.size):
+        state.clock[i] = 0
 
 
-def predict(model: Model, observers: Sequence[Observer], measured: np.ndarray, command: np.ndarray, *,
-            start_angle: float, offset: float, zero: float = 0.0, gap_place: float = 0.0, equilibrium: bool = False,
-            logged: np.ndarray | None = None, warm: tuple[Observer, int] | None = None,
-            more: tuple[float, float] = (0.0, 0.0)) -> tuple[np.ndarray, np.ndarray]:
+def _predicted(model: Model, used: Sequence[Observer], logs: Logs, starts: Sequence[State], own: np.ndarray,
+               accel_at: np.ndarray, blocks: int, disturbance: np.ndarray) -> np.ndarray:
+    """Runs by h observers, the last of ``used`` the one that finds their states: ``blocks`` channels of each, one run
+    after another, counts, unrounded.
+
+    ``own`` (runs, 4) as ``Dataset.own`` has it; ``accel_at`` (h): the block that holds the accelerometer as a horizon
+    predicts it, -1 for none.
+    """
+    out: np.ndarray = np.empty(blocks * logs.command.size)
+    fresh = (np.array([s.z for s in starts]), np.array([s.effects for s in starts]), np.array([s.last for s in starts]))
+    _predict(model.plan, fresh, starts[0], np.array([o.modal(model) for o in used]), np.array([o.torque for o in used]),
+             np.array([o.decay for o in used]), SPAN / model.rig.angle_per_count, logs, np.ascontiguousarray(own),
+             accel_at, out, disturbance, np.zeros((4, max(model.plan.port_joint.size, 1))))
+    return out
+
+
+def predict(model: Model, observers: Sequence[Observer], logs: Logs, own: np.ndarray, *, zero: float = 0.0,
+            gap_place: float = 0.0, equilibrium: bool = False, finder: Observer | None = None,
+            ) -> tuple[np.ndarray, np.ndarray]:
     """One run by h observers: predicted channels (h, 2, n), counts, unrounded, and the observers' torque (h, n), counts
     of command.
 
-    ``measured`` (2, n) counts, ``command`` (n) counts as logged; angles in rad.  Where ``logged`` (n) is False nothing
-    was read, and the observer runs on with its torque.  ``warm``: the observer that finds the state in so many first
-    rows, of a run that begins in motion.  ``more``: what the motor does more in this run, a share of the command and a
-    constant (counts of command).
+    ``own`` (4) as ``Dataset.own`` has it.  Where a row was not logged, nothing was read, and the observer runs on with
+    its torque.  ``finder``: the observer that finds the state of a run that begins in motion.
     """
-    fresh = initial_state(model, start_angle, zero, equilibrium=equilibrium, gap_place=gap_place)
-    state = State(*(np.zeros_like(array) for array in fresh))
-    rows, (quick, found) = len(command), warm or (observers[0], 0)
-    predicted, disturbance = np.zeros((len(observers), 2, rows)), np.zeros((len(observers), rows))
-    used = [*observers, quick]
-    _predict(model.plan, fresh, state, np.array([o.modal(model) for o in used]),
-             np.array([o.torque for o in used]), np.array([o.decay for o in used]), found,
-             SPAN / model.rig.angle_per_count, offset, command, more[0] * command + more[1], measured,
-             np.ones(rows, dtype=bool) if logged is None else logged, predicted, disturbance,
-             np.zeros((4, max(model.plan.port_joint.size, 1))))
-    return predicted, disturbance
+    count, n = len(observers), logs.command.size
+    torque = np.zeros(count * n)
+    start = initial_state(model, angle_that_reads(model.rig, float(own[0]), zero), zero, equilibrium=equilibrium,
+                          gap_place=gap_place)
+    out = _predicted(model, [*observers, finder or observers[0]], logs, [start], own[None], np.arange(count, 2 * count),
+                     2 * count, torque)
+    return out.reshape(2, count, n).transpose(1, 0, 2), torque.reshape(count, n)
 
 
 def predict_run(data: Dataset, model: Model, observers: Sequence[Observer], run: int, own: np.ndarray, *,
                 zero: float = 0.0, place: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """As ``predict``, one run of a dataset; ``own`` (4) as ``Dataset.own`` has it."""
-    this, rows = data.runs[run], data.warm[run]
-    start, offset, share, constant = own.tolist()
-    return predict(model, observers, data.measured[run], np.ascontiguousarray(this.command, dtype=float),
-                   start_angle=angle_that_reads(model.rig, start, zero), offset=offset, zero=zero, gap_place=place,
-                   equilibrium=this.metadata.start == "equilibrium", logged=data.logged[run], more=(share, constant),
-                   warm=(data.finder, rows) if rows else None)
+    """As ``predict``, one run of a dataset."""
+    return predict(model, observers, data.log[run], own, zero=zero, gap_place=place,
+                   equilibrium=data.runs[run].metadata.start == "equilibrium",
+                   finder=data.finder if data.warm[run] else None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,19 +201,39 @@ class Predictor:
         truncation, longest, longest_gap = self.accuracy
         return build(space.rig_at(x), truncation, longest_gap if space.gap_places else longest)
 
+    def times(self, model: Model, space: Parameters, x: np.ndarray, runs: Sequence[int], own: np.ndarray,
+              ) -> list[np.ndarray]:
+        """Predictions in time (b, n) of some runs, counts; ``own`` (runs, 4) as ``Dataset.own`` has it."""
+        data, count, start = self.data, len(self.observers), own[:, 0].tolist()
+        if not count:
+            return [np.zeros((0, len(data.runs[r]))) for r in runs]
+        logs = data.logs if len(runs) == len(data.runs) else data.log[runs[0]]
+        zeros = [space.zero(x, data.zero_group[r]) for r in runs]
+        starts = [initial_state(model, angle_that_reads(model.rig, angle, zero), zero, gap_place=space.place(x, r),
+                                equilibrium=data.runs[r].metadata.start == "equilibrium")
+                  for r, angle, zero in zip(runs, start, zeros, strict=True)]
+        blocks, accel_at = len(self.channel), np.full(count, -1)
+        accel_at[count // 2] = count if self._accelerometers else -1
+        finder = data.finder if any(data.warm) else self.observers[0]
+        out = _predicted(model, [*self.observers, finder], logs, starts, own, accel_at, blocks, np.zeros(0))
+        edges = (blocks * logs.first).tolist()
+        return [out[begin:end].reshape(blocks, -1) for begin, end in pairwise(edges)]
+
+    def some(self, model: Model, space: Parameters, x: np.ndarray, runs: Sequence[int], own: np.ndarray,
+             ) -> list[np.ndarray]:
+        """Predictions (b, n) of one run, or of all."""
+        return self.times(model, space, x, runs, own)
+
     def run(self, model: Model, space: Parameters, x: np.ndarray, run: int, own: np.ndarray) -> np.ndarray:
         """One run's predictions (b, n), counts; ``own`` (4) as ``Dataset.own`` has it."""
-        zero, place = space.zero(x, self.data.zero_group[run]), space.place(x, run)
-        if not self.observers:
-            return np.zeros((0, len(self.data.runs[run])))
-        found, _ = predict_run(self.data, model, self.observers, run, own, zero=zero, place=place)
-        return np.concatenate([found[:, 0], found[len(found) // 2, [1] * self._accelerometers]])
+        return self.some(model, space, x, [run], own[None])[0]
 
     def runs(self, space: Parameters, x: np.ndarray, own: np.ndarray, *, parallel: bool = False) -> list[np.ndarray]:
         """Every run's predictions, ``own`` (runs, 4); ``parallel`` not from one of the pool's threads."""
-        model = self.model(space, x)
-        return list((self.pool.map if parallel else map)(
-            lambda r: self.run(model, space, x, r, own[r]), range(len(self.data.runs))))
+        model, runs = self.model(space, x), range(len(self.data.runs))
+        if parallel:
+            return list(self.pool.map(lambda r: self.run(model, space, x, r, own[r]), runs))
+        return self.some(model, space, x, runs, own)
 
 
 def angle_that_reads(rig: Rig, reading: float, zero: float) -> float:

@@ -122,12 +122,15 @@ class ResponsePredictor(Predictor):
                                   [e[:times] for e in residuals])
         return np.hstack([read, ALIKE * self.counts[:, times:]])
 
-    def run(self, model: Model, space: Parameters, x: np.ndarray, run: int, own: np.ndarray) -> np.ndarray:
-        """One run's predictions (b, n): readings, counts, and logarithms of responses, phases nearest the measured."""
+    def some(self, model: Model, space: Parameters, x: np.ndarray, runs: Sequence[int], own: np.ndarray,
+             ) -> list[np.ndarray]:
+        """Predictions (b, n) of one run, or of all: readings, counts, and logarithms of responses, phases nearest the
+        measured."""
         def response(s: Spectrum) -> np.ndarray:
             simulated = getattr(finite_element_response(model.rig, s.frequency), s.sensor)
             return np.log(s.value) - np.log(s.value / simulated)
-        return self._joined(run, super().run(model, space, x, run, own), response)
+        return [self._joined(r, times, response) for r, times in
+                zip(runs, self.times(model, space, x, runs, own), strict=True)]
 
     def _joined(self, run: int, times: np.ndarray, of: Callable[[Spectrum], np.ndarray]) -> np.ndarray:
         """Blocks in time (b, n) and below them the real and imaginary part of what ``of`` says of every response."""

@@ -62,9 +62,9 @@ def assemble(rig: Rig) -> Assembly:
         mass[base, base] += rig.base.inertia
     for joint, one, other in ((rig.drive, motor, base), (rig.clamp, base, root)):
         if joint is not None:
-            pair = np.ix_([one, other], [one, other])
-            stiffness[pair] += joint.stiffness * np.array([[1.0, -1.0], [-1.0, 1.0]])
-            damping[pair] += joint.damping * np.array([[1.0, -1.0], [-1.0, 1.0]])
+            for a, b, sign in ((one, one, 1.0), (other, other, 1.0), (one, other, -1.0), (other, one, -1.0)):
+                stiffness[a, b] += sign * joint.stiffness
+                damping[a, b] += sign * joint.damping
     rigid = np.zeros(size)
     rigid[: base + 1] = 1.0
     if beam is None:

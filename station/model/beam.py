@@ -17,6 +17,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from station.model.compiled import njit
+
 REAL_ELEMENTS = 16
 """Elements, at least, of a beam that stands for a real one: a coarser mesh's error would look like physics."""
 
@@ -64,8 +66,14 @@ def beam_matrices(mass_per_length: float, flexural_rigidity: float, length: floa
     mass, stiffness = element_mass(mass_per_length, h), element_stiffness(flexural_rigidity, h)
     size = 2 * elements + 2
     total_mass, total_stiffness = np.zeros((size, size)), np.zeros((size, size))
-    for i, share in enumerate(rigidity(elements, factors)):
-        at = slice(2 * i, 2 * i + 4)
-        total_mass[at, at] += mass
-        total_stiffness[at, at] += share * stiffness
+    _join(mass, stiffness, rigidity(elements, factors), total_mass, total_stiffness)
     return total_mass, total_stiffness
+
+
+@njit(cache=True)
+def _join(mass, stiffness, shares, total_mass, total_stiffness):
+    for k in range(shares.size):
+        for i in range(4):
+            for j in range(4):
+                total_mass[2 * k + i, 2 * k + j] += mass[i, j]
+                total_stiffness[2 * k + i, 2 * k + j] += shares[k] * stiffness[i, j]

@@ -38,9 +38,13 @@ class ModalForm:
         """Number of blocks."""
         return self.kind.size
 
+    def columns(self, blocks: np.ndarray) -> np.ndarray:
+        """Where some blocks (indices) stand in z."""
+        return np.concatenate([blocks, self.blocks + blocks])
+
     def select(self, keep: np.ndarray) -> ModalForm:
         """The same with only some blocks (indices): a modal truncation."""
-        columns = np.concatenate([keep, self.blocks + keep])
+        columns = self.columns(keep)
         return ModalForm(self.kind[keep], self.eigenvalues[keep], self.basis[:, columns], self.inverse[columns])
 
     def function(self, scalar: Callable[[np.ndarray], np.ndarray],

@@ -13,7 +13,7 @@ import numpy as np
 from station.control.compensators import Compensator, commanded
 from station.errors import WorkError
 from station.model import stepper
-from station.model.assembly import Assembly, assemble, axis_moment, torque_input
+from station.model.assembly import Assembly, assemble, axis_moment
 from station.model.compiled import address
 from station.model.effects import Effect, Stage
 from station.model.modal import ModalForm, apply, modal_form
@@ -65,12 +65,17 @@ class Model:
 
 
 class _Tables:
-    """A rig as its linear part sees it: equal where the tables are, whatever effects it has."""
+    """A rig as its linear part sees it: equal where the tables are, whatever effects it has.
 
-    def __init__(self, rig: Rig) -> None:
-        self.rig = rig
-        self._key = (rig.motor, rig.drive, rig.base, rig.clamp, rig.beam, rig.tip, rig.accelerometer, rig.amplifier,
-                     rig.encoder)
+    ``moving``: as its motion alone sees it, whatever drives and reads it.
+    """
+
+    def __init__(self, rig: Rig, moving: bool = False) -> None:
+        self.rig, motor = rig, rig.motor
+        self._key: tuple[object, ...] = (motor.inertia, motor.damping, rig.drive, rig.base, rig.clamp, rig.beam,
+                                         rig.tip)
+        if not moving:
+            self._key += (motor.gain, rig.accelerometer, rig.amplifier, rig.encoder)
         self._hash = hash(self._key)
 
     def __hash__(self) -> int:
@@ -92,15 +97,16 @@ def _sampled(tables: _Tables, ports: tuple[str, ...], period: float, substeps: i
              ) -> tuple[ModalForm, stepper.Plan, float]:
     """The linear part with its ports, truncated and sampled: its form, a plan without effects, and what Model drops."""
     rig, h = tables.rig, period / substeps
-    parts, whole = _decoupled(tables)
-    inputs, rotations = _port_vectors(parts, ports)
+    parts, whole = _decoupled(_Tables(rig, moving=True))
+    n, rotations = parts.size, _rotations(parts, ports)
+    inputs = np.column_stack([rig.motor.gain * parts.unit(parts.motor), *rotations])
+    forces = whole.inverse[:, n:] @ np.linalg.solve(parts.mass, inputs)
+    rate = whole.function(lambda z: z, 1.0)
     fed_back = [vector for port, vector in zip(ports, rotations, strict=True) if port == "clamp"]
-    form, dropped = _truncate(rig, parts, whole, inputs, fed_back, period, truncation)
-    n = parts.size
+    keep, dropped = _truncate(rig, parts, whole, forces, rate, fed_back, period, truncation)
+    form, kept, rate = whole.select(keep), whole.columns(keep), rate[:, keep]
     held, exponential = form.integral(h), form.exponential(h)
-    command = form.inverse @ (rig.motor.gain * torque_input(parts, parts.unit(parts.motor)))
-    torques = [form.inverse @ torque_input(parts, vector) for vector in inputs]
-    rate = form.function(lambda z: z, 1.0)
+    command, torques = forces[kept, 0], forces[kept, 1:].T
     if parts.tip is None or rig.accelerometer is None:
         tip_speed, gain = np.zeros(2 * form.blocks), 0.0
     else:
@@ -162,7 +168,7 @@ def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP) ->
         encoder_delay=late[Stage.ENCODER_DELAY] / plan.h, accel_delay=late[Stage.ACCEL_DELAY] / plan.h)
     filters = int(first[stepper.ACCEL_FILTER + 1] - first[stepper.ACCEL_FILTER])
     rings = int(max(plan.encoder_delay, plan.accel_delay)) + 3
-    return Model(rig, _decoupled(tables)[0], form, plan, states, filters, rings, dropped)
+    return Model(rig, _decoupled(_Tables(rig, moving=True))[0], form, plan, states, filters, rings, dropped)
 
 
 def by_load(rig: Rig, effect: Effect) -> bool:
@@ -176,9 +182,9 @@ def _row(output: np.ndarray, blocks: np.ndarray) -> np.ndarray:
     return np.concatenate([one * blocks[0] + two * blocks[2], one * blocks[1] + two * blocks[3]])
 
 
-def _norms(vector: np.ndarray) -> np.ndarray:
-    """Size of each block's part (b) of a vector (2b)."""
-    return np.hypot(*vector.reshape(2, -1))
+def _norms(vectors: np.ndarray) -> np.ndarray:
+    """Size of each block's part (b, ...) of vectors (2b, ...)."""
+    return np.hypot(*vectors.reshape(2, -1, *vectors.shape[1:]))
 
 
 def _ports(rig: Rig, laws: list[Effect]) -> tuple[str, ...]:
@@ -194,49 +200,46 @@ def _ports(rig: Rig, laws: list[Effect]) -> tuple[str, ...]:
     return tuple(port for port in _PORTS if port in wanted)
 
 
-def _port_vectors(parts: Assembly, ports: tuple[str, ...]) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Generalised torque of one N m and the rotation that it works on; the same vector, by virtual work."""
+def _rotations(parts: Assembly, ports: tuple[str, ...]) -> list[np.ndarray]:
+    """Of each port its rotation, which is, by virtual work, the generalised torque of one N m there."""
     vectors = {"motor": parts.unit(parts.motor), "base": parts.unit(parts.base),
                "drive": parts.unit(parts.motor) - parts.unit(parts.base)}
     if parts.root is not None:
         vectors["clamp"] = parts.unit(parts.base) - parts.unit(parts.root)
-    picked = [vectors[port] for port in ports]
-    return picked, picked
+    return [vectors[port] for port in ports]
 
 
-def _truncate(rig: Rig, parts: Assembly, form: ModalForm, inputs: list[np.ndarray], fed_back: list[np.ndarray],
-              period: float, allowed: float) -> tuple[ModalForm, float]:
-    """Leave out the modes that cannot matter.
+def _truncate(rig: Rig, parts: Assembly, form: ModalForm, forces: np.ndarray, rate: np.ndarray,
+              fed_back: list[np.ndarray], period: float, allowed: float) -> tuple[np.ndarray, float]:
+    """Which blocks to keep, for the others cannot matter, and what these could add to an output, counts.
 
     A block with outputs c and sampled response g to one count adds at most limit sum_k |c e^(A k T) g| to an output,
     which |c| |g| / (1 - |e^(lambda T)|) bounds; a port's torque counts as PORT_SHARE of the motor's largest.
+    ``forces`` (2b, 1 + ports): of one count, and of one N m at each port; ``rate`` (4, b): the blocks themselves.
     ``fed_back``: rotations of a stiff joint at the beam's root; an effect acts on them and every mode of the beam
     yields there, so they count as outputs, in encoder counts.
     """
-    n, blocks = parts.size, form.blocks
-    largest = [rig.motor.gain * torque_input(parts, parts.unit(parts.motor))]
-    largest += [PORT_SHARE * rig.motor.gain * torque_input(parts, vector) for vector in inputs]
-    held, rate = form.integral(period), form.function(lambda z: z, 1.0)
-    size = np.zeros(blocks)
+    n = parts.size
+    largest = forces.copy()
+    largest[:, 1:] *= PORT_SHARE * rig.motor.gain
+    size = np.zeros((form.blocks, largest.shape[1]))
     outputs = [(row @ form.basis[:n] / rig.angle_per_count, None) for row in (parts.unit(parts.base), *fed_back)]
     if parts.tip is not None and rig.accelerometer is not None:
         tip = form.basis[n + parts.tip] * rig.accelerometer.gain
         outputs.append((_row(tip, rate), tip))
-    decay = 1.0 - np.abs(np.exp(form.eigenvalues * period)).max(axis=1)
-    for source in largest:
-        force = form.inverse @ source
-        response = _norms(apply(held, force))
-        for output, through in outputs:
-            bound = _norms(output) * response / np.maximum(decay, 1e-12)
-            if through is not None:
-                bound += np.abs((through * force).reshape(2, -1).sum(axis=0))
-            size = np.maximum(size, rig.amplifier.limit * bound)
-    size[np.abs(form.eigenvalues).min(axis=1) == 0.0] = np.inf
-    order = np.argsort(size)
-    total = np.cumsum(size[order])
+    decay = 1.0 - np.exp(form.eigenvalues.real.max(axis=1) * period)
+    response = _norms(apply(form.integral(period), largest)) / np.maximum(decay, 1e-12)[:, None]
+    for output, through in outputs:
+        bound = _norms(output)[:, None] * response
+        if through is not None:
+            bound += np.abs((through[:, None] * largest).reshape(2, form.blocks, -1).sum(axis=0))
+        size = np.maximum(size, rig.amplifier.limit * bound)
+    most = size.max(axis=1)
+    most[np.abs(form.eigenvalues).min(axis=1) == 0.0] = np.inf
+    order = np.argsort(most)
+    total = np.cumsum(most[order])
     count = int(np.searchsorted(total, allowed))
-    keep = np.sort(order[count:])
-    return form.select(keep), float(total[count - 1]) if count else 0.0
+    return np.sort(order[count:]), float(total[count - 1]) if count else 0.0
 
 
 def _slots(rig: Rig, laws: list[Effect], ports: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -52,8 +53,8 @@ def test_what_stands_in_a_gap_never_reaches_a_prediction():
             predictor = Predictor(data, observers(data.rig, data.noise[0]), pool)
             space = parameters(data, Hypothesis(), {})
             found.append(predictor.runs(space, np.zeros(space.size), data.own)[0])
-        data.logged[0][:] = True
-        heard = predictor.runs(space, np.zeros(space.size), data.own)[0]
+        read = replace(data, logged=tuple(np.ones_like(rows) for rows in data.logged))
+        heard = predictor.on(read).runs(space, np.zeros(space.size), data.own)[0]
     np.testing.assert_array_equal(found[0], found[1])
     assert np.abs(heard - found[0]).max() > 1.0
 

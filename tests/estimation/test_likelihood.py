@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from station.estimation.likelihood import blocks_independent, correlation, cost, expected, rho, temperatures
+from station.estimation.likelihood import (
+    TAPER,
+    blocks_independent,
+    correlation,
+    cost,
+    expected,
+    rho,
+    tapered,
+    temperatures,
+)
 
 ROWS = 20_000
 
@@ -28,6 +37,11 @@ def test_errors_that_remember_count_as_bayley_and_hammersley_say(a: float) -> No
         white = np.random.default_rng(seed).standard_normal(ROWS + 1000)
         found.append(1.0 / correlation(signal.lfilter([1.0], [1.0, -a], white)[1000:]))
     assert np.mean(found) == pytest.approx((1.0 - a * a) / (1.0 + a * a), rel=0.08)
+
+
+@pytest.mark.parametrize("size", [2, 3, 40, 1000, 1001])
+def test_a_series_fades_in_and_out_as_tukeys_window_does(size: int) -> None:
+    np.testing.assert_allclose(tapered(size), signal.windows.tukey(size, TAPER), atol=1e-12)
 
 
 def test_errors_of_one_slow_swing_hold_a_few_independent_ones() -> None:

@@ -7,15 +7,25 @@ import math
 import numpy as np
 import pytest
 
-from station.estimation.dataset import dataset
+from station.estimation.dataset import Logs, dataset, joined
 from station.estimation.observer import observers
 from station.estimation.prediction import SEARCH, predict, predict_run
 from station.model.effects import effect_class
 from station.model.simulate import build, simulate_model
 from station.rig import load_rig
+from station.runs.run import Run
 from tests.cli.conftest import step_run
 from tests.estimation.made import AXIS, run_of
 from tests.truth import SFLR, innovations
+
+
+def log_of(run: Run, warm: int = 0) -> Logs:
+    return joined([run.encoder], [run.command], [run.logged], [warm])
+
+
+def begun(angle: float, offset: float = 0.0) -> np.ndarray:
+    """What a run has of its own: where it begins."""
+    return np.array([angle, offset, 0.0, 0.0])
 
 
 @pytest.mark.parametrize("controller", ["open", "p2"])
@@ -27,8 +37,7 @@ def test_without_corrections_a_prediction_is_the_simulation_driven_by_the_comman
     made = simulate_model(model, type(run)("x", run.t, run.command, run.command, run.encoder, None, driven),
                           rounding=False, start_angle=0.02)
     watched = observers(AXIS, 0.1, (math.inf,))
-    found, torque = predict(model, watched, np.stack([run.encoder, np.zeros(len(run))]),
-                            np.ascontiguousarray(run.command), start_angle=0.02, offset=0.0)
+    found, torque = predict(model, watched, log_of(run), begun(0.02))
     np.testing.assert_allclose(found[0, 0], made.encoder, atol=1e-9)
     assert not torque.any()
 
@@ -36,9 +45,7 @@ def test_without_corrections_a_prediction_is_the_simulation_driven_by_the_comman
 def test_a_wrong_gain_matters_less_the_shorter_a_prediction_looks_ahead() -> None:
     run = run_of(AXIS, 60.0, "open", "x")
     wrong = build(AXIS.with_constants({"motor.gain": 1.2 * AXIS.motor.gain}), *SEARCH[:2])
-    measured = np.stack([run.encoder, np.zeros(len(run))])
-    found, _ = predict(wrong, observers(AXIS, 0.1, (0.02, 0.1, 0.5, math.inf)), measured,
-                       np.ascontiguousarray(run.command), start_angle=0.0, offset=0.0)
+    found, _ = predict(wrong, observers(AXIS, 0.1, (0.02, 0.1, 0.5, math.inf)), log_of(run), begun(0.0))
     errors = np.sqrt(np.mean((run.encoder - found[:, 0]) ** 2, axis=1)).tolist()
     assert errors == sorted(errors) and errors[0] < 0.2 * errors[-1]
 
@@ -46,8 +53,7 @@ def test_a_wrong_gain_matters_less_the_shorter_a_prediction_looks_ahead() -> Non
 def test_a_right_model_misses_no_more_than_rounding_at_any_horizon() -> None:
     run = run_of(AXIS, 60.0, "p2", "x")
     model = build(AXIS, *SEARCH[:2])
-    found, _ = predict(model, observers(AXIS, 0.0), np.stack([run.encoder, np.zeros(len(run))]),
-                       np.ascontiguousarray(run.command), start_angle=0.0, offset=0.0)
+    found, _ = predict(model, observers(AXIS, 0.0), log_of(run), begun(0.0))
     assert np.abs(run.encoder - found[:, 0]).max() < 1.0
     assert np.std(run.encoder - found[:, 0], axis=1).max() < 0.4
 
@@ -60,8 +66,7 @@ def test_of_a_run_that_begins_in_motion_the_state_is_found_before_anything_count
     model = build(data.rig, *SEARCH[:2])
     watched = observers(data.rig, data.noise[0], (math.inf,))
     found, torque = predict_run(data, model, watched, 0, data.own[0])
-    rest = predict(model, watched, data.measured[0], np.ascontiguousarray(moving.command, dtype=float),
-                   start_angle=data.start[0], offset=data.offset[0])[0]
+    rest = predict(model, watched, log_of(moving), data.own[0])[0]
     rows = slice(data.warm[0], None)
     error, at_rest = (np.sqrt(np.mean((moving.encoder[rows] - y[0, 0, rows]) ** 2)) for y in (found, rest))
     assert data.warm[0] > 0 and not torque[0, rows].any()
@@ -72,9 +77,7 @@ def test_a_known_torque_is_found_by_the_observer() -> None:
     """A constant torque at the motor, unknown to the model, is what the slow observer ends with, in counts."""
     bias = effect_class("command_bias")(at="amplifier", offset=6.0)
     run = run_of(AXIS.with_effects([bias]), 60.0, "p2", "x")
-    measured = np.stack([run.encoder, np.zeros(len(run))])
-    _, torque = predict(build(AXIS, *SEARCH[:2]), observers(AXIS, 0.0, (0.05,)), measured,
-                        np.ascontiguousarray(run.command), start_angle=0.0, offset=0.0)
+    _, torque = predict(build(AXIS, *SEARCH[:2]), observers(AXIS, 0.0, (0.05,)), log_of(run), begun(0.0))
     assert 0.0 < torque[0, len(run) // 4:].mean() < 6.5
 
 
@@ -82,8 +85,6 @@ def test_without_disturbances_the_plain_filter_of_a_perfect_arm_predicts_the_sam
     """The independent dense filter with next to no disturbance is the simulation; it corrects the start alone."""
     rig = load_rig("sflr").with_elements(16)
     run = run_of(rig, 60.0, "open", "x", 0.8)
-    measured = np.stack([run.encoder, np.zeros(len(run))])
-    found, _ = predict(build(rig, 0.0, 2e-4), observers(rig, 0.0, (math.inf,)), measured,
-                       np.ascontiguousarray(run.command), start_angle=0.0, offset=0.0)
+    found, _ = predict(build(rig, 0.0, 2e-4), observers(rig, 0.0, (math.inf,)), log_of(run), begun(0.0))
     plain = innovations.innovations(SFLR, run.command, run.encoder[:, None], start_spread=1e-9)
     np.testing.assert_allclose(found[0, 0], run.encoder - plain.errors[:, 0], atol=0.05)

@@ -6,10 +6,9 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from station.diagnose.result import Evidence
 from station.model.effects import Effect, Stage, catalogue, effect_class
 from station.model.effects.base import parameter
-from station.pictures.evidence import POINTS, Contrast, evidence
+from station.pictures.evidence import POINTS, Contrast, Evidence, evidence
 from station.rig import Rig, load_rig
 from station.runs.run import Run, RunMetadata
 from tests.truth import (

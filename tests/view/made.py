@@ -15,7 +15,6 @@ from station.diagnose.result import (
     DiagnosisResult,
     Disturbance,
     Estimate,
-    Evidence,
     Gain,
     NextExperiment,
     Prediction,
@@ -28,6 +27,7 @@ from station.diagnose.result import (
 )
 from station.model.effects import effect_class
 from station.model.simulate import Simulation
+from station.pictures.evidence import Evidence
 from station.rig import Rig, load_rig
 from station.runs.run import Run, RunMetadata
 from station.view.remaining import nrmse
@@ -176,7 +176,7 @@ def result(verdict: str = "explained", rig: Rig | None = None, runs: int = 5) ->
                  for i, (path, v) in enumerate(rig.constants().items())}
     refit = rig.with_constants({path: e.value for path, e in constants.items()})
     return DiagnosisResult(diagnosis, rig, refit, refit.with_effects([effect]) if named else refit, list(made),
-                           ranking, [friction_evidence(), phase_evidence()] if named else [], constants,
+                           ranking, (lambda: [friction_evidence(), phase_evidence()]) if named else list, constants,
                            ["Noise: 0.31 counts of angle, 2.1 counts of acceleration, from the stretches at rest."],
                            12.3)
 
@@ -197,5 +197,5 @@ def hostile() -> DiagnosisResult:
     evidence = [replace(e, title=HOSTILE, xlabel=HOSTILE, ylabel=HOSTILE, note=HOSTILE) for e in full.evidence]
     ranking = [RankedCause(HOSTILE, HOSTILE, 0.9, 1.0, None, {}, HOSTILE)]
     rig = full.rig.model_copy(update={"name": HOSTILE[:100]})
-    return replace(full, diagnosis=diagnosis, comparisons=comparisons, evidence=evidence, ranking=ranking, rig=rig,
+    return replace(full, diagnosis=diagnosis, comparisons=comparisons, draw=lambda: evidence, ranking=ranking, rig=rig,
                    extended_rig=rig, notes=[HOSTILE])

@@ -86,7 +86,7 @@ def results(draw: st.DrawFn) -> DiagnosisResult:
     diagnosis = base.diagnosis.model_copy(update={"causes": causes, "next_experiment": wanted, "gain": gain,
                                                   "disturbance": missing})
     comparisons = base.comparisons if draw(st.booleans()) else []
-    return replace(base, diagnosis=diagnosis, ranking=ranking, notes=notes, comparisons=comparisons, evidence=[])
+    return replace(base, diagnosis=diagnosis, ranking=ranking, notes=notes, comparisons=comparisons, draw=list)
 
 
 def terminal(result: DiagnosisResult) -> str:

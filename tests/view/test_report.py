@@ -210,7 +210,7 @@ def test_names_from_files_are_escaped_everywhere() -> None:
 
 
 def test_a_diagnosis_without_runs_still_reads() -> None:
-    bare = replace(made.result("not_enough_data"), comparisons=[], ranking=[], evidence=[], constants={})
+    bare = replace(made.result("not_enough_data"), comparisons=[], ranking=[], draw=list, constants={})
     bare = replace(bare, diagnosis=Diagnosis(verdict="not_enough_data", gain=Gain(held_out=[])))
     text = Page(report_html(bare)).text
     assert "These runs are not enough" in text and "No run could be drawn" in text
