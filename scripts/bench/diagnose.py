@@ -36,7 +36,7 @@ from station.diagnose.diagnose import diagnose
 from station.estimation import prediction
 from station.rig import load_rig
 from station.runs import load_run
-lock, spent, calls, plain = threading.Lock(), 0.0, 0, prediction.predict
+lock, spent, calls, plain = threading.Lock(), 0.0, 0, prediction._predicted
 def counted(*given, **named):
     global spent, calls
     start = time.thread_time()
@@ -45,7 +45,7 @@ def counted(*given, **named):
     with lock:
         spent, calls = spent + start, calls + 1
     return found
-prediction.predict = counted
+prediction._predicted = counted
 runs = [load_run(path) for path in sys.argv[2:]]
 cpu = time.process_time()
 diagnose(load_rig("sflr"), runs, effort=sys.argv[1])

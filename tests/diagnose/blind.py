@@ -6,13 +6,9 @@ The code under test is given the case's runs and the nominal rig, nothing else.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
+from collections.abc import Iterable, Sequence
 
 from station.campaign.outcome import Outcome, Task, diagnosed
-from station.campaign.processes import over_processes
-from station.campaign.program import program_hash
-from station.campaign.run import attempt
 from station.campaign.summary import title
 from tests.truth import OUTSIDE, SERVO, SFLR, Case, make_case
 
@@ -78,14 +74,6 @@ def judge(task: Task) -> Outcome:
                      outside=bool(case.truth["outside"]),
                      severity=list(case.truth.get("severity_in_world", case.truth["severity"]).values()),
                      making=making)
-
-
-def judge_all(tasks: Sequence[Task], workers: int = 2) -> Iterator[Outcome]:
-    """Every task in a process of its own, as they end; a failure is raised."""
-    for task, answer in over_processes(partial(attempt, judge, program_hash()), tasks, workers):
-        if "failure" in answer:
-            raise RuntimeError(f"{task.label}: {answer['failure']}")
-        yield Outcome(**answer["outcome"])
 
 
 def table(outcomes: Iterable[Outcome]) -> str:

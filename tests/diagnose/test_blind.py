@@ -12,12 +12,10 @@ scripts/bench/blind.py measures it on hundreds of cases (docs/campaign.md).
 
 from __future__ import annotations
 
-import sys
-
 import pytest
 
 from station.campaign.outcome import Task
-from tests.diagnose.blind import blind_task, judge_all, table
+from tests.diagnose.blind import blind_task, judge, table
 
 CLEAN = 1
 FIRST_SEED = 80000
@@ -26,7 +24,6 @@ EFFECTS = [("coulomb_friction", "motor"), ("backlash", None), ("input_delay", No
 IMPERFECT = [("input_delay", None)]
 LEVEL = 0.02
 """Of an imperfect world: share of the command's torque and of the accelerometer's signal."""
-WANTED = 0.9
 
 
 def cases() -> list[Task]:
@@ -44,17 +41,13 @@ def test_a_case_has_a_label_of_its_own_in_every_world_and_hides_the_same():
     assert perfect.spec | {"disturbance": 0.02} == imperfect.spec and perfect.group == imperfect.group
 
 
-@pytest.mark.timeout(1500)
-def test_hidden_causes_are_named_and_clean_rigs_are_not_accused(capsys):
-    outcomes = {outcome.label: outcome for outcome in judge_all(cases())}
-    ordered = [outcomes[task.label] for task in cases()]
-    with capsys.disabled():
-        print("\n" + table(ordered), file=sys.stderr, flush=True)
-    hidden = [outcome for outcome in ordered if not outcome.clean]
-    named = [outcome for outcome in hidden if outcome.named]
-    accused = [outcome.label for outcome in ordered if outcome.clean and outcome.causes]
-    worse = [outcome.label for outcome in named if not outcome.better]
-    missed = [outcome.label for outcome in hidden if not outcome.named]
-    assert not accused, f"clean rigs accused: {accused}"
-    assert not worse, f"named, but no better on held-out runs: {worse}"
-    assert len(named) >= WANTED * len(hidden), f"named {len(named)} of {len(hidden)}, not {missed}"
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("task", cases(), ids=lambda task: task.label)
+def test_a_hidden_cause_is_named_and_a_clean_rig_is_not_accused(task):
+    outcome = judge(task)
+    said = table([outcome])
+    assert outcome.unmade is None, said
+    if outcome.clean:
+        assert not outcome.causes, said
+    else:
+        assert outcome.named and outcome.better, said
