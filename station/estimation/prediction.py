@@ -99,7 +99,8 @@ def _predicted(model: Model, used: Sequence[Observer], logs: Logs, starts: Seque
     """Runs by h observers, the last of ``used`` the one that finds their states: ``blocks`` channels of each, one run
     after another, counts, unrounded.
 
-    ``own`` (runs, 4) as ``Dataset.own`` has it; ``accel_at`` (h): the block that holds the accelerometer as a horizon
+    ``starts``: every run's state at its first row; the first is used up.  ``own`` (runs, 4) as ``Dataset.own`` has it;
+    ``accel_at`` (h): the block that holds the accelerometer as a horizon
     predicts it, -1 for none.
     """
     out: np.ndarray = np.empty(blocks * logs.command.size)
@@ -201,9 +202,9 @@ class Predictor:
         truncation, longest, longest_gap = self.accuracy
         return build(space.rig_at(x), truncation, longest_gap if space.gap_places else longest)
 
-    def times(self, model: Model, space: Parameters, x: np.ndarray, runs: Sequence[int], own: np.ndarray,
-              ) -> list[np.ndarray]:
-        """Predictions in time (b, n) of some runs, counts; ``own`` (runs, 4) as ``Dataset.own`` has it."""
+    def some(self, model: Model, space: Parameters, x: np.ndarray, runs: Sequence[int], own: np.ndarray,
+             ) -> list[np.ndarray]:
+        """Predictions (b, n) of one run, or of all, counts; ``own`` (runs, 4) as ``Dataset.own`` has it."""
         data, count, start = self.data, len(self.observers), own[:, 0].tolist()
         if not count:
             return [np.zeros((0, len(data.runs[r]))) for r in runs]
@@ -218,11 +219,6 @@ class Predictor:
         out = _predicted(model, [*self.observers, finder], logs, starts, own, accel_at, blocks, np.zeros(0))
         edges = (blocks * logs.first).tolist()
         return [out[begin:end].reshape(blocks, -1) for begin, end in pairwise(edges)]
-
-    def some(self, model: Model, space: Parameters, x: np.ndarray, runs: Sequence[int], own: np.ndarray,
-             ) -> list[np.ndarray]:
-        """Predictions (b, n) of one run, or of all."""
-        return self.times(model, space, x, runs, own)
 
     def run(self, model: Model, space: Parameters, x: np.ndarray, run: int, own: np.ndarray) -> np.ndarray:
         """One run's predictions (b, n), counts; ``own`` (4) as ``Dataset.own`` has it."""

@@ -130,7 +130,7 @@ class ResponsePredictor(Predictor):
             simulated = getattr(finite_element_response(model.rig, s.frequency), s.sensor)
             return np.log(s.value) - np.log(s.value / simulated)
         return [self._joined(r, times, response) for r, times in
-                zip(runs, self.times(model, space, x, runs, own), strict=True)]
+                zip(runs, super().some(model, space, x, runs, own), strict=True)]
 
     def _joined(self, run: int, times: np.ndarray, of: Callable[[Spectrum], np.ndarray]) -> np.ndarray:
         """Blocks in time (b, n) and below them the real and imaginary part of what ``of`` says of every response."""

@@ -94,8 +94,9 @@ def _decoupled(tables: _Tables) -> tuple[Assembly, ModalForm]:
 
 @functools.lru_cache(maxsize=32)
 def _sampled(tables: _Tables, ports: tuple[str, ...], period: float, substeps: int, delay: float, truncation: float,
-             ) -> tuple[ModalForm, stepper.Plan, float]:
-    """The linear part with its ports, truncated and sampled: its form, a plan without effects, and what Model drops."""
+             ) -> tuple[Assembly, ModalForm, stepper.Plan, float]:
+    """The linear part with its ports, truncated and sampled: its matrices, its form, a plan without effects, and what
+    Model drops."""
     rig, h = tables.rig, period / substeps
     parts, whole = _decoupled(_Tables(rig, moving=True))
     n, rotations = parts.size, _rotations(parts, ports)
@@ -136,7 +137,7 @@ def _sampled(tables: _Tables, ports: tuple[str, ...], period: float, substeps: i
         -1, -1, rig.motor.gain, rig.motor.damping, moment, port_held @ moment,
         slots, first, arguments, rig.amplifier.limit, rig.beam.length if rig.beam else 0.0,
         1.0 / rig.angle_per_count, gain, 0.0, 0.0)
-    return form, plan, dropped
+    return parts, form, plan, dropped
 
 
 def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP) -> Model:
@@ -155,11 +156,11 @@ def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP) ->
     laws = sorted((e for e in rig.effects if e.stage in _STAGE), key=lambda e: (_STAGE[e.stage], e.order))
     within = bool(laws) or any(late.values())
     substeps = math.ceil(period / longest - 1e-9) if within else 1
-    tables, ports = _Tables(rig), _ports(rig, laws)
+    ports = _ports(rig, laws)
     loaded = any(by_load(rig, e) for e in laws)
     if loaded and rig.drive is None and rig.beam is not None:
         truncation = 0.0   # the moment at the beam's root is the sum of all modes
-    form, plan, dropped = _sampled(tables, ports, period, substeps, delay, truncation)
+    parts, form, plan, dropped = _sampled(_Tables(rig), ports, period, substeps, delay, truncation)
     slots, first, arguments, states = _slots(rig, laws, ports)
     plan = plan._replace(
         load_port=ports.index("drive") if loaded and rig.drive is not None else -1,
@@ -168,7 +169,7 @@ def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP) ->
         encoder_delay=late[Stage.ENCODER_DELAY] / plan.h, accel_delay=late[Stage.ACCEL_DELAY] / plan.h)
     filters = int(first[stepper.ACCEL_FILTER + 1] - first[stepper.ACCEL_FILTER])
     rings = int(max(plan.encoder_delay, plan.accel_delay)) + 3
-    return Model(rig, _decoupled(_Tables(rig, moving=True))[0], form, plan, states, filters, rings, dropped)
+    return Model(rig, parts, form, plan, states, filters, rings, dropped)
 
 
 def by_load(rig: Rig, effect: Effect) -> bool:
