@@ -1,9 +1,8 @@
 """Screening: what every cause would buy on top of a fitted hypothesis, to first order, alone and in pairs.
 
-With D what a cause of a guessed size changes in the predictions, weighed as the errors e are, and the parent's own
-parameters and nuisances eliminated, G = D'D and b = D'e: causes of sizes a = G^-1 b lower -2 ln L by b'G^-1 b.  With
-one of the parent's own effects taken out, and what that changes taken from e, the same says which could stand in its
-place.
+A cause of a guessed size changes the predictions; what that and multiples of it would buy, the parent's own parameters
+moved with it, is read off the parent's quadratic (``linearised``).  With one of the parent's own effects taken out, and
+what that changes taken from the errors, the same says which could stand in its place.
 """
 
 from __future__ import annotations
@@ -17,9 +16,10 @@ from itertools import combinations
 import numpy as np
 
 from station.diagnose.candidates import Candidate
+from station.diagnose.linearised import Change, Linearised
 from station.estimation.dataset import SEVERAL
 from station.estimation.least_squares import LOST, Fit
-from station.estimation.parameters import Key, Parameters, Sizes, parameters
+from station.estimation.parameters import Key, Sizes, parameters
 from station.estimation.prediction import Predictor
 from station.model.effects import Stage
 
@@ -72,7 +72,7 @@ class _Row:
     """What screening says of a guess, what so many times the guess changes in the predictions, and how many times."""
 
     screened: Screened
-    change: list[np.ndarray] | None
+    change: Change | None
     factor: float = 1.0
 
 
@@ -90,73 +90,13 @@ def scaled(candidate: Candidate, guess: dict[str, float], factor: float) -> dict
     return moved
 
 
-class _Eliminated:
-    """A parent's weighed errors and derivatives, and inner products with both taken out."""
-
-    def __init__(self, predictor: Predictor, parent: Fit, reduced: Parameters | None = None) -> None:
-        """``reduced``: the parent's hypothesis with one effect less; what that does is put back into the errors.
-
-        ArithmeticError: without it the rig does not simulate.
-        """
-        assert parent.jacobian is not None
-        self.predictor, self.parent = predictor, parent
-        space, w = parent.space, parent.blocks(parent.weighing)
-        left = set((reduced or space).names())
-        kept = [i for i, name in enumerate(space.names()) if name in left]
-        rows = [*kept, *range(space.size, len(parent.jacobian[0]))]
-        p = self.size = len(kept)
-        self.roots = [np.sqrt(row)[:, None] for row in w]
-        self.derivatives = [(j[rows] * root).reshape(len(rows), -1)
-                            for j, root in zip(parent.jacobian, self.roots, strict=True)]
-        self.errors = [(e * root).ravel() for e, root in zip(parent.residuals, self.roots, strict=True)]
-        self.scale = [predictor.scale(r) for r in range(len(w))]
-        if reduced is not None:
-            change = self.change(reduced, reduced.carried(space, parent.x))
-            if change is None:
-                raise ArithmeticError("without this effect the rig does not simulate")
-            self.errors = [e - c for e, c in zip(self.errors, change, strict=True)]
-        # Per run: the nuisances' own products, and what of errors and parameters they take up.
-        self.inner = [np.linalg.inv(d[p:] @ d[p:].T + np.diag(own))
-                      for d, own in zip(self.derivatives, parent.nuisance, strict=True)]
-        self.coupled = [d[p:] @ d[:p].T for d in self.derivatives]
-        self.taken = [d[p:] @ e - own * away for d, e, own, away in
-                      zip(self.derivatives, self.errors, parent.nuisance, parent.away, strict=True)]
-        prior = space.precision[kept]
-        self.matrix, self.force = np.diag(prior), -prior * (parent.x - space.mean)[kept]
-        for d, e, inner, coupled, taken in zip(self.derivatives, self.errors, self.inner, self.coupled, self.taken,
-                                               strict=True):
-            self.matrix += d[:p] @ d[:p].T - coupled.T @ inner @ coupled
-            self.force += d[:p] @ e - coupled.T @ inner @ taken
-
-    def change(self, space: Parameters, x: np.ndarray) -> list[np.ndarray] | None:
-        """What a hypothesis at x changes in the weighed predictions, per run; None where it does not simulate."""
-        predicted = self.predictor.runs(space, x, self.parent.own)
-        found = [((new - old) * s * root).ravel() for new, old, s, root in
-                 zip(predicted, self.parent.predicted, self.scale, self.roots, strict=True)]
-        return found if all(np.all(np.isfinite(f)) for f in found) else None
-
-    def products(self, changes: Sequence[list[np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-        """G (k, k) and b (k) of changes."""
-        k, p = len(changes), self.size
-        gram, slope, cross = np.zeros((k, k)), np.zeros(k), np.zeros((p, k))
-        for r, (d, e) in enumerate(zip(self.derivatives, self.errors, strict=True)):
-            c = np.stack([change[r] for change in changes])
-            both = d @ c.T
-            solved = self.inner[r] @ np.column_stack([both[p:], self.taken[r]])
-            gram += c @ c.T - both[p:].T @ solved[:, :-1]
-            slope += c @ e - both[p:].T @ solved[:, -1]
-            cross += both[:p] - self.coupled[r].T @ solved[:, :-1]
-        taken = np.linalg.solve(self.matrix, np.column_stack([cross, self.force]))
-        return gram - cross.T @ taken[:, :-1], slope - cross.T @ taken[:, -1]
-
-
 def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
            ) -> tuple[list[Screened], list[tuple[Screened, Screened]], list[Exchange]]:
     """All causes at their guesses, best first; pairs that promise more than their better half, best first; and what
     could stand in the place of one of the parent's effects, for each of them best first."""
-    known = _Eliminated(predictor, parent)
+    known = Linearised.of(predictor, parent)
 
-    def at(candidate: Candidate, guess: dict[str, float]) -> list[np.ndarray] | None:
+    def at(candidate: Candidate, guess: dict[str, float]) -> Change | None:
         hypothesis = parent.space.hypothesis + candidate.hypothesis
         centres = {**parent.space.values(parent.space.mean), candidate.key: guess}
         space = parameters(predictor.data, hypothesis, centres)
@@ -168,14 +108,12 @@ def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
         change = at(candidate, guess)
         if change is None:
             return _Row(Screened(candidate, guess, 0.0, 1.0, 0.0), None)
-        gram, slope = known.products([change])
-        found = _screened(candidate, guess, float(gram[0, 0]), float(slope[0]))
+        found = _promised(known, candidate, guess, change)
         if found.information > STRONG:
             factor = math.sqrt(STRONG / found.information)
             smaller = at(candidate, scaled(candidate, guess, factor))
             if smaller is not None:
-                gram, slope = known.products([smaller])
-                closer = _screened(candidate, guess, float(gram[0, 0]), float(slope[0]))
+                closer = _promised(known, candidate, guess, smaller)
                 if closer.gain > found.gain:
                     closer = replace(closer, size=factor * closer.size, information=found.information)
                     return _Row(closer, smaller, factor)
@@ -192,7 +130,7 @@ def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
             ratio, error = clock
             found.append(Screened(candidate, {"ratio": ratio}, ((ratio - 1.0) / error) ** 2, 1.0, error**-2))
     found += _shared(parent, pool)
-    return sorted(found, key=lambda s: -s.gain), _pairs(known, rows), _in_place(predictor, parent, rows)
+    return sorted(found, key=lambda s: -s.gain), _pairs(known, rows), _in_place(known, rows)
 
 
 def _shared(parent: Fit, pool: Sequence[Candidate]) -> list[Screened]:
@@ -209,6 +147,19 @@ def _shared(parent: Fit, pool: Sequence[Candidate]) -> list[Screened]:
     return [Screened(c, {"offset": mean}, gain, 1.0, 0.0, mean) for c in pool if c.key == BIAS]
 
 
+def _promised(known: Linearised, candidate: Candidate, guess: dict[str, float], change: Change) -> Screened:
+    """What a change promises: the most of what two quadratics do that promise no more than the likelihood."""
+    gram, slope = known.products([change])
+    found = _screened(candidate, guess, float(gram[0, 0]), float(slope[0]))
+    beyond = known.beyond(change)
+    if beyond is not None:
+        fall, s, b = beyond
+        other = _screened(candidate, guess, s, b)
+        if other.size > 0.0 and fall + other.gain > found.gain:
+            return replace(found, gain=fall + other.gain, size=other.size)
+    return found
+
+
 def _screened(candidate: Candidate, guess: dict[str, float], s: float, b: float) -> Screened:
     if s <= 1e-9:
         return Screened(candidate, guess, 0.0, 1.0, max(s, 0.0))
@@ -217,9 +168,9 @@ def _screened(candidate: Candidate, guess: dict[str, float], s: float, b: float)
     return Screened(candidate, guess, gain, size, s)
 
 
-def _pairs(known: _Eliminated, rows: Sequence[_Row]) -> list[tuple[Screened, Screened]]:
+def _pairs(known: Linearised, rows: Sequence[_Row]) -> list[tuple[Screened, Screened]]:
     """Pairs of causes whose sizes, fitted together, buy more than the better of the two and another cause's worth."""
-    best: dict[Key, tuple[_Row, list[np.ndarray]]] = {}
+    best: dict[Key, tuple[_Row, Change]] = {}
     for row in sorted(rows, key=lambda row: -row.screened.gain):
         if row.change is not None and row.screened.information > 1e-6 and row.screened.size > 0.0:
             best.setdefault(row.screened.candidate.key, (row, row.change))
@@ -245,19 +196,20 @@ def _pairs(known: _Eliminated, rows: Sequence[_Row]) -> list[tuple[Screened, Scr
     return pairs
 
 
-def _in_place(predictor: Predictor, parent: Fit, rows: Sequence[_Row]) -> list[Exchange]:
+def _in_place(known: Linearised, rows: Sequence[_Row]) -> list[Exchange]:
     """What could stand in the place of each effect of a parent; of a single one the same law elsewhere alone, for the
     others were looked at before."""
-    hypothesis, found = parent.space.hypothesis, []
+    space, found = known.parent.space, []
+    hypothesis, data = space.hypothesis, known.predictor.data
     for less in [(cls.name, at) for cls, at in hypothesis.effects]:
-        centres = {key: sizes for key, sizes in parent.space.values(parent.space.mean).items() if key != less}
+        centres = {key: sizes for key, sizes in space.values(space.mean).items() if key != less}
         with suppress(*LOST):
-            known = _Eliminated(predictor, parent, parameters(predictor.data, hypothesis.without(less), centres))
+            reduced = known.without(parameters(data, hypothesis.without(less), centres))
             others: dict[Key, Screened] = {}
             for row in rows:
                 wanted = row.screened.candidate.key[0] == less[0] or len(hypothesis.causes) > 1
                 if row.change is not None and wanted:
-                    gram, slope = known.products([row.change])
+                    gram, slope = reduced.products([row.change])
                     one = _screened(row.screened.candidate, row.screened.guess, float(gram[0, 0]), float(slope[0]))
                     key = one.candidate.key
                     if key not in others or one.gain > others[key].gain:

@@ -129,6 +129,7 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
     parent = base_fit(predictor)
     search = Selection(predictor, effort, parent.weighing)
     search.keep(parent)
+    parent = _with_derivatives(search, parent)
     pool = candidates(predictor.data.rig)
     climbed: set[Causes] = set()
     while parent.key not in climbed:
@@ -155,9 +156,12 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
 
 
 def _with_derivatives(search: Selection, found: Fit) -> Fit:
-    """The same set, fitted under the weighing in force, with derivatives to hand on."""
+    """The same set, fitted to the end under the weighing in force, with derivatives to hand on.
+
+    They are worked out where it ended: of what screening takes out by them little is left, and that must be right.
+    """
     space, x = centred(search.predictor, found)
-    again = fit(search.predictor, space, search.own_weighing(found), x, found.own)
+    again = fit(search.predictor, space, search.own_weighing(found), x, found.own, to_the_end=True)
     search.keep(again, found)
     return again
 
