@@ -2,8 +2,8 @@
 
 tests/cli/test_examples.py runs the help texts' quick examples, tests/docs/test_tutorial.py the tutorial in its order,
 tests/model/test_own_effects.py holds docs/own_effect.md against scripts/own_effect.py, tests/test_api.py runs
-docs/python.md.  A board is played by the simulated rig, and a diagnosis takes the quick effort; else lines run as they
-stand.
+docs/python.md.  A board is played by the simulated rig, and a diagnosis takes the quick effort (so does each of an
+investigation); else lines run as they stand.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ ELSEWHERE = {"python scripts/demo": "tests/cli/test_diagnosis.py runs the demo b
              "station campaign plan.toml --out campaign --scheduler tls://head:8786 --tls-ca ca.pem --tls-cert me.pem "
              "--tls-key me.key": "needs a cluster with certificates; tests/campaign/test_run.py has one of two workers"}
 """Lines that are not run here, and why."""
-QUICK = {"diagnose"}
+QUICK = {"diagnose", "investigate"}
 UNTIL_CTRL_C = {"device"}
 EVERY = sorted({(line, page.name) for page in PAGES if page != TUTORIAL for line in lines(page)})
 STATION = sorted({line.replace("/dev/ttyUSB0", "sim://sflr") for line, _ in EVERY if line.startswith("station ")}
