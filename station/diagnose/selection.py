@@ -199,24 +199,43 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], share: tuple[f
         return begun(predictor, parent, start[1], start[0])
 
     found: dict[Causes, Fit] = {}
-    for start, one in zip(far, predictor.pool.map(lambda start: start.fitted(predictor, search.weighing), far),
-                          strict=True):
-        progress(f"tried {start.candidate.hypothesis.label}, far from nominal", share[0])
-        if one is not None:
-            search.keep(one)
-            if one.key not in found or one.objective < found[one.key].objective:
-                found[one.key] = one
-    for k, begun_fit in enumerate(predictor.pool.map(quick, starts)):
-        progress(f"tried {' + '.join(s.candidate.hypothesis.label for s in starts[k][1])}",
+    promised: dict[Causes, float] = {}
+
+    def keep(one: Fit) -> None:
+        search.keep(one)
+        if one.key not in found or one.objective < found[one.key].objective:
+            found[one.key] = one
+
+    for begin, reached in zip(far, predictor.pool.map(lambda begin: begin.fitted(predictor, search.weighing), far),
+                              strict=True):
+        progress(f"tried {begin.candidate.hypothesis.label}, far from nominal", share[0])
+        if reached is not None:
+            keep(reached)
+    for k, ((less, more), reached) in enumerate(zip(starts, predictor.pool.map(quick, starts), strict=True)):
+        progress(f"tried {' + '.join(s.candidate.hypothesis.label for s in more)}",
                  share[0] + (share[1] - share[0]) * 0.6 * (k + 1) / len(starts))
-        if begun_fit is not None:
-            search.keep(begun_fit)
-            if begun_fit.key not in found or begun_fit.objective < found[begun_fit.key].objective:
-                found[begun_fit.key] = begun_fit
-    ranked = sorted(found.values(), key=lambda f: -search.score(f))[: effort.finished]
+        if reached is not None:
+            keep(reached)
+            if less is None:
+                promised[reached.key] = max(promised.get(reached.key, 0.0), more[0].gain)
+    ranked = leading(search, found, {key: parent.objective - gain for key, gain in promised.items()})
+    ranked = ranked[: effort.finished]
     _refit(search, [search.fits[f.key] for f in ranked], False,
            lambda k, label: progress(f"fitted {label}",
                                      share[0] + (share[1] - share[0]) * (0.6 + 0.4 * (k + 1) / len(ranked))))
+
+
+def leading(search: Selection, found: dict[Causes, Fit], promised: dict[Causes, float]) -> list[Fit]:
+    """Fits of a few steps in the order in which they are taken further: the best one, then by what they may reach.
+
+    A fit that stopped above the objective that screening promised of its causes (``promised``) has not arrived, and may
+    reach that: screening promises no more than the likelihood does, as far as predictions are linear.
+    """
+    def may_reach(one: Fit) -> float:
+        return search.score(one) + 0.5 * max(one.objective - promised.get(one.key, np.inf), 0.0)
+
+    best = max(found.values(), key=search.score, default=None)
+    return sorted(found.values(), key=lambda one: (one is not best, -may_reach(one)))
 
 
 def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened], less: Key | None = None) -> Fit | None:

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from station.diagnose.selection import EFFORTS, Selection
+from station.diagnose.selection import EFFORTS, Selection, leading
 from station.diagnose.thresholds import LOG_PRIOR, LOG_PRIOR_PARAMETER
 from station.estimation.likelihood import Weighing
 from station.estimation.parameters import Hypothesis
@@ -90,3 +90,19 @@ def test_the_likeliest_sets_are_close_down_to_a_limit_and_a_number() -> None:
 
 def test_an_evidence_that_is_no_number_never_wins() -> None:
     assert searching().score(found(float("nan"))) == -np.inf
+
+
+def test_a_fit_that_stopped_above_what_was_promised_of_its_causes_is_taken_further_before_one_that_arrived() -> None:
+    search, ripple = searching(), (effect_class("torque_ripple"), "motor")
+    best, arrived, short = found(60.0, FRICTION), found(40.0, STRIBECK), found(30.0, ripple)
+    best.objective, arrived.objective, short.objective = 880.0, 920.0, 940.0
+    fits = {one.key: one for one in (best, arrived, short)}
+    assert leading(search, fits, {}) == [best, arrived, short]
+    # Promised is an objective 100 lower, 50 in log likelihood: more than the best one has.
+    assert leading(search, fits, {short.key: 840.0}) == [best, short, arrived]
+    # A fit that came lower than was promised has nothing left to reach.
+    assert leading(search, fits, {short.key: 941.0, arrived.key: 900.0}) == [best, arrived, short]
+
+
+def test_nothing_that_simulates_leaves_nothing_to_take_further() -> None:
+    assert leading(searching(), {}, {}) == []
