@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from station.diagnose.equivalences import completed, rivals, standing, with_word
 from station.diagnose.experiment import choose
 from station.diagnose.measures import floor, nrmse, step_measures
-from station.diagnose.odds import Odds, by_law, estimates, odds
+from station.diagnose.odds import Odds, by_law, estimates, odds, with_outside
 from station.diagnose.remainder import Remainder, remainder
 from station.diagnose.result import (
     BetweenRuns,
@@ -130,6 +130,8 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     known = standing(data, said.causes, best.space.rig_at(best.x))
     told = completed(found, said.causes, known) if said.causes in dict(found.sets) else found
     decision = verdict(said, told, search.screened, left.is_noise, against, known)
+    if not left.is_noise:
+        told, spoken = with_outside(told), with_outside(spoken)
     causes = []
     if decision in ("explained", "partly_explained", "ambiguous"):
         laws = {key: spoken.causes[key] for key in said.causes if spoken.causes[key] != found.causes.get(key)}

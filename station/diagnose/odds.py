@@ -18,7 +18,7 @@ from scipy.special import stdtrit
 
 from station.diagnose.result import Estimate
 from station.diagnose.selection import Selection
-from station.diagnose.thresholds import BEYOND, CLOSE, VARIES
+from station.diagnose.thresholds import BEYOND, CLOSE, OUTSIDE, VARIES
 from station.estimation.dataset import SEVERAL
 from station.estimation.identifiability import parameter_states
 from station.estimation.least_squares import Fit
@@ -125,6 +125,20 @@ def by_law(found: Odds) -> Odds:
                         stability={**found.stability, first: found.laws.get(name, 0.0)},
                         sets=[(moved, sets[moved]), *(row for row in found.sets if row[0] != moved)])
     return found
+
+
+def with_outside(found: Odds) -> Odds:
+    """The odds where more than noise is left, and what acts may be none of the catalogue's causes (an M-open view:
+    Bernardo and Smith, Bayesian Theory, 1994, section 6.1.2).
+
+    Something outside it that does what a set of causes does would be met by that set as well, and leave as much.  So
+    the data say nothing between the two, and what was believed of it beforehand (OUTSIDE) stays.  Where only noise is
+    left nothing outside is needed.
+    """
+    inside = 1.0 - OUTSIDE
+    return replace(found, sets=[(keys, inside * p) for keys, p in found.sets], nothing=inside * found.nothing,
+                   causes={key: inside * p for key, p in found.causes.items()},
+                   laws={name: inside * p for name, p in found.laws.items()})
 
 
 def normalised(scores: dict[Causes, float], stability: dict[Key, float]) -> Odds:

@@ -9,6 +9,10 @@ or so causes (effects at their places, constants, each of a usual and another si
 LOG_PRIOR_PARAMETER = -2.5
 """Each further parameter of one effect, beside what the evidence itself asks of it: a law that holds a simpler one must
 earn its parameters (the odds of one in twelve of a test at 3 sigma among three signs and sizes)."""
+OUTSIDE = 0.09
+"""Probability beforehand that what acts on a rig is none of the catalogue's causes: of the nine that were found by hand
+on three measured rigs (an arm, a geared servo, a linear axis) it holds all; Laplace's rule of succession, (0 + 1)/(9 +
+2).  Where more than noise is left the data do not change it."""
 WORTH_A_FIT = 2.0
 """Expected fall of -2 ln L from which on a cause is fitted: below the change of Akaike's criterion by one parameter (2)
 no set of causes could win."""

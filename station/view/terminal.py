@@ -35,8 +35,10 @@ def print_diagnosis(result: DiagnosisResult, console: Console, rig: str = "RIG")
         console.print(_table("Causes", ["cause", "probability", "named in", "parameter",
                                         "value (95 % interval)"], rows))
         for cause in found.causes:
-            if rest := wording.rest_sentence(cause):
+            if rest := wording.rest_sentence(cause, found.verdict):
                 console.print(_plain(f"{wording.cause_title(cause.effect, cause.at)}: {rest}"))
+        if kept := wording.outside_sentence(found.verdict):
+            console.print(_plain(kept))
     for sentence in result.equivalences:
         console.print(_plain(f"{sentence} No test can tell them apart."))
     if result.ranking:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from station.control.named import named_controller
 from station.control.references import KINDS, defaults
+from station.diagnose.thresholds import OUTSIDE
 from station.model.effects import catalogue
 
 if TYPE_CHECKING:
@@ -138,12 +139,12 @@ def titles(causes: Sequence[Cause | Rival | RankedCause], last: str = "and") -> 
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
 
 
-def rest_sentence(cause: Cause) -> str:
+def rest_sentence(cause: Cause, verdict: str) -> str:
     """Where the probability lies that a cause does not hold; empty where hardly any is left.
 
     Rivals may stand beside each other in one set, so that theirs may add up to more.
     """
-    rest = 1.0 - cause.probability
+    rest = 1.0 - cause.probability - _outside(verdict)
     if rest < 0.005:
         return ""
     words = f"The other {probability(rest)}: sets of causes without it"
@@ -153,6 +154,17 @@ def rest_sentence(cause: Cause) -> str:
     left = rest - sum(r.probability for r in cause.rivals)
     beside = f"; {probability(left)} with none of these" if left > 0.005 else ""
     return f"{words}, among them with {', '.join(rivals)}{beside}."
+
+
+def outside_sentence(verdict: str) -> str:
+    """What is kept for causes that no effect describes; empty where only noise is left."""
+    kept = _outside(verdict)
+    return (f"More than noise is left, so {probability(kept)} is kept for something that acts like these causes and is "
+            "none that is known here.") if kept else ""
+
+
+def _outside(verdict: str) -> float:
+    return OUTSIDE if verdict == "partly_explained" else 0.0
 
 
 def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:

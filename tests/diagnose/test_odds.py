@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from station.diagnose import odds as module
-from station.diagnose.odds import RESAMPLES, Odds, by_law, estimates, normalised, odds, resamples
-from station.diagnose.thresholds import BEYOND
+from station.diagnose.odds import RESAMPLES, Odds, by_law, estimates, normalised, odds, resamples, with_outside
+from station.diagnose.thresholds import BEYOND, OUTSIDE
 from station.estimation.dataset import dataset
 from station.estimation.least_squares import fit
 from station.estimation.likelihood import Weighing
@@ -54,6 +54,19 @@ def test_a_cause_has_the_probability_of_all_sets_that_hold_it() -> None:
 def test_what_stands_in_a_causes_place_is_summed_over_the_sets_that_lack_it() -> None:
     found = normalised({frozenset(): 0.0, frozenset({FRICTION}): math.log(2.0), frozenset({DEAD_ZONE}): 0.0}, {})
     assert found.replacements(frozenset({FRICTION}), FRICTION) == {DEAD_ZONE: pytest.approx(0.25)}
+
+
+def test_where_more_than_noise_is_left_something_outside_the_catalogue_keeps_what_was_believed_of_it() -> None:
+    inside = normalised({frozenset(): 0.0, frozenset({FRICTION}): math.log(2.0), frozenset({DEAD_ZONE}): 0.0},
+                        {FRICTION: 0.9})
+    found = with_outside(inside)
+    assert sum(p for _, p in found.sets) == pytest.approx(1.0 - OUTSIDE)
+    assert found.causes == {FRICTION: pytest.approx(0.5 * (1.0 - OUTSIDE)),
+                            DEAD_ZONE: pytest.approx(0.25 * (1.0 - OUTSIDE))}
+    assert found.nothing == pytest.approx(0.25 * (1.0 - OUTSIDE))
+    # Which set is best, and in how many resamples, is no matter of what lies outside.
+    assert [keys for keys, _ in found.sets] == [keys for keys, _ in inside.sets]
+    assert found.stability == inside.stability
 
 
 def test_resamples_leave_each_run_out_once_and_then_weigh_every_stretch() -> None:

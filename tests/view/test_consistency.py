@@ -21,7 +21,7 @@ from station.diagnose.result import (
     RankedCause,
     Rival,
 )
-from station.diagnose.thresholds import STABLE
+from station.diagnose.thresholds import OUTSIDE, STABLE
 from station.view import wording
 from station.view.report import report_html
 from station.view.terminal import print_diagnosis
@@ -110,10 +110,13 @@ def test_no_two_sentences_contradict_each_other(result: DiagnosisResult) -> None
 @given(results())
 def test_what_is_not_sure_says_where_the_rest_of_its_probability_lies(result: DiagnosisResult) -> None:
     text = Page(report_html(result)).text
+    kept = OUTSIDE if result.diagnosis.verdict == "partly_explained" else 0.0
+    told = f"{wording.probability(OUTSIDE)} is kept for something that acts like these causes and is none" in text
+    assert told == bool(kept and result.diagnosis.causes)
     for cause in result.diagnosis.causes:
         head = f"{wording.probability(cause.probability)} probable"
         assert head in text
-        rest = 1.0 - cause.probability
+        rest = 1.0 - cause.probability - kept
         assert (f"The other {wording.probability(rest)}: sets of causes without it" in text) or rest < 0.005
         for rival in cause.rivals if rest >= 0.005 else []:
             assert f"drag at the base ({wording.probability(rival.probability)})" in text
