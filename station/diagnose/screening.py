@@ -122,10 +122,10 @@ def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
     tasks = [(c, g) for c in pool if c.effect is not None for g in c.guesses]
     rows = list(predictor.pool.map(tried, tasks))
     found = [row.screened for row in rows]
-    clock = predictor.data.clock
+    clock, quadratic = predictor.data.clock, parent.normal(parent.weighing)
     for candidate in pool:
         if candidate.effect is None:
-            found.append(_freed(predictor, parent, candidate))
+            found.append(_freed(predictor, parent, candidate, *quadratic))
         elif candidate.effect.stage is Stage.CLOCK and clock is not None:
             ratio, error = clock
             found.append(Screened(candidate, {"ratio": ratio}, ((ratio - 1.0) / error) ** 2, 1.0, error**-2))
@@ -218,14 +218,16 @@ def _in_place(known: Linearised, rows: Sequence[_Row]) -> list[Exchange]:
     return found
 
 
-def _freed(predictor: Predictor, parent: Fit, candidate: Candidate) -> Screened:
-    """Expected gain of setting one constant free: only its prior changes."""
+def _freed(predictor: Predictor, parent: Fit, candidate: Candidate, normal: np.ndarray, slope: np.ndarray) -> Screened:
+    """Expected gain of setting one constant free: only its prior changes.
+
+    ``normal`` (p, p) and ``slope`` (p): the data's, of the parent.
+    """
     base = parent.space
     space = parameters(predictor.data, base.hypothesis + candidate.hypothesis, base.values(base.mean))
     n = len(base.paths)
     transform = np.eye(base.size)
     transform[:n, :n] = np.linalg.solve(base.root, space.root)
-    normal, slope = parent.normal(parent.weighing)
     x = space.carried(base, parent.x)
 
     def cost(prior: np.ndarray, matrix: np.ndarray, slope: np.ndarray, at: np.ndarray) -> float:

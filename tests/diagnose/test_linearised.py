@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -13,13 +12,11 @@ from scipy.optimize import minimize
 from station.diagnose.candidates import candidates
 from station.diagnose.linearised import Change, Linearised
 from station.estimation.constants import base_fit
-from station.estimation.dataset import dataset
 from station.estimation.least_squares import Fit, fit
 from station.estimation.likelihood import cost
-from station.estimation.observer import observers
 from station.estimation.parameters import parameters
-from station.estimation.prediction import Predictor
 from station.rig import Rig
+from tests.estimation.made import predictions
 from tests.truth import RIGID_AXIS, make_case
 
 FRICTION = ("coulomb_friction", "motor")
@@ -29,9 +26,8 @@ FRICTION = ("coulomb_friction", "motor")
 def known() -> Iterator[tuple[Linearised, Change]]:
     """A rig that has friction, fitted without it, and what as much of it changes as seems best."""
     runs = make_case(8071, [FRICTION], nominal=RIGID_AXIS, count=4, band=(400.0, 1e5)).runs
-    data = dataset(Rig.model_validate(RIGID_AXIS), list(runs))
-    with ThreadPoolExecutor(2) as pool:
-        predictor = Predictor(data, observers(data.rig, data.noise[0]), pool)
+    with predictions(Rig.model_validate(RIGID_AXIS), runs) as predictor:
+        data = predictor.data
         base = base_fit(predictor)
         parent = fit(predictor, base.space, base.weighing, base.x, base.own, to_the_end=True)
         cause = next(c for c in candidates(data.rig) if c.key == FRICTION)

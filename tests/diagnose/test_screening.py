@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
 
 import numpy as np
 import pytest
@@ -14,24 +13,21 @@ from station.diagnose.candidates import Candidate, candidates
 from station.diagnose.screening import Exchange, screen
 from station.diagnose.selection import begun
 from station.estimation.constants import base_fit, unknown
-from station.estimation.dataset import dataset
 from station.estimation.least_squares import Fit, fit, weighing_of
-from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, Key, parameters
 from station.estimation.prediction import Predictor
 from station.rig import Rig
+from tests.estimation.made import predictions
 from tests.truth import RIGID_AXIS, TWO_MASS, make_case
 
 FRICTION, DEAD_ZONE = ("coulomb_friction", "motor"), ("dead_zone", "amplifier")
 CURVE = ("gain_curve", "amplifier")
 
 
-@contextmanager
-def predictions(table: dict, seed: int, hidden: Sequence[Key]) -> Iterator[Predictor]:
+def hiding(table: dict, seed: int, hidden: Sequence[Key]) -> AbstractContextManager[Predictor]:
+    """Predictions of runs of a rig that hides something."""
     runs = make_case(seed, list(hidden), nominal=table, count=4, band=(400.0, 1e5)).runs
-    data = dataset(Rig.model_validate(table), list(runs))
-    with ThreadPoolExecutor(2) as pool:
-        yield Predictor(data, observers(data.rig, data.noise[0]), pool)
+    return predictions(Rig.model_validate(table), runs)
 
 
 def fitted(predictor: Predictor, pool: Sequence[Candidate], causes: Sequence[Key]) -> Fit:
@@ -51,7 +47,7 @@ def exchanges(predictor: Predictor, causes: Sequence[Key]) -> tuple[Fit, list[Ex
 
 def test_what_should_stand_in_a_causes_place_is_found_beside_the_other() -> None:
     """A dead zone was taken for a curve beside friction: a parent that has the curve need not lead to it."""
-    with predictions(RIGID_AXIS, 8061, [DEAD_ZONE, FRICTION]) as predictor:
+    with hiding(RIGID_AXIS, 8061, [DEAD_ZONE, FRICTION]) as predictor:
         parent, found = exchanges(predictor, [CURVE, FRICTION])
         instead = [one for one in found if one.less == CURVE]
         assert {one.less for one in found} == {CURVE, FRICTION}
@@ -64,7 +60,7 @@ def test_what_should_stand_in_a_causes_place_is_found_beside_the_other() -> None
 
 def test_of_a_single_cause_the_same_law_elsewhere_alone_is_looked_at() -> None:
     """The others were looked at when nothing was in the set yet."""
-    with predictions(TWO_MASS, 8062, [FRICTION]) as predictor:
+    with hiding(TWO_MASS, 8062, [FRICTION]) as predictor:
         _, found = exchanges(predictor, [FRICTION])
     assert [(one.less, one.more.candidate.key) for one in found] == [(FRICTION, ("coulomb_friction", "base"))]
 
@@ -73,7 +69,7 @@ def test_sizes_of_pairs_are_multiples_of_the_guess_whatever_was_simulated(monkey
     """A guess that would show too plainly is looked at at a smaller size; a pair's sizes are still those of the guess.
     """
     sizes = {}
-    with predictions(RIGID_AXIS, 8063, [FRICTION, DEAD_ZONE]) as predictor:
+    with hiding(RIGID_AXIS, 8063, [FRICTION, DEAD_ZONE]) as predictor:
         parent, pool = base_fit(predictor), candidates(predictor.data.rig)
         for strong in (np.inf, 1.0):
             monkeypatch.setattr(screening, "STRONG", strong)

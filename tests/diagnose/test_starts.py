@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -16,13 +13,13 @@ from station.diagnose.candidates import candidates
 from station.diagnose.diagnose import diagnose
 from station.diagnose.starts import JOINTS, RIGID, far_starts, rigid_starts
 from station.estimation.constants import base_fit
-from station.estimation.dataset import dataset
-from station.estimation.observer import observers
 from station.estimation.parameters import WIDE
-from station.estimation.prediction import Predictor
 from station.rig import Rig
 from station.runs.run import Run
+from tests.estimation.made import predictions
 from tests.truth import SFLR, make_case
+
+ARM = Rig.model_validate(SFLR)
 
 
 def runs_of(seed: int, table: str, key: str, factor: float) -> list[Run]:
@@ -32,17 +29,10 @@ def runs_of(seed: int, table: str, key: str, factor: float) -> list[Run]:
     return list(make_case(seed, nominal=true, count=4).runs)
 
 
-@contextmanager
-def predictions(runs: list[Run]) -> Iterator[Predictor]:
-    data = dataset(Rig.model_validate(SFLR), runs)
-    with ThreadPoolExecutor(2) as pool:
-        yield Predictor(data, observers(data.rig, data.noise[0]), pool)
-
-
 @pytest.mark.parametrize(("table", "key", "factor"), [("beam", "length", 0.2), ("beam", "flexural_rigidity", 0.04),
                                                       ("base", "inertia", 8.0)])
 def test_the_constant_that_is_far_off_is_begun_where_it_is(table: str, key: str, factor: float) -> None:
-    with predictions(runs_of(8300, table, key, factor)) as predictor:
+    with predictions(ARM, runs_of(8300, table, key, factor)) as predictor:
         starts = far_starts(predictor, candidates(predictor.data.rig), 4)
     assert len(starts) <= 4
     (begun,) = [start for start in starts if start.candidate.constant == f"{table}.{key}"]
@@ -51,12 +41,12 @@ def test_the_constant_that_is_far_off_is_begun_where_it_is(table: str, key: str,
 
 
 def test_where_every_constant_is_about_right_no_fit_begins_elsewhere() -> None:
-    with predictions(runs_of(8301, "base", "inertia", 1.0)) as predictor:
+    with predictions(ARM, runs_of(8301, "base", "inertia", 1.0)) as predictor:
         assert far_starts(predictor, candidates(predictor.data.rig), 4) == []
 
 
 def test_joints_are_begun_stiff_on_a_rig_that_has_them_the_other_constants_at_nominal() -> None:
-    with predictions(runs_of(8301, "base", "inertia", 1.0)) as predictor:
+    with predictions(ARM, runs_of(8301, "base", "inertia", 1.0)) as predictor:
         parent = base_fit(predictor)
         starts = rigid_starts(predictor, parent, candidates(predictor.data.rig))
     assert [start.candidate.constant for start in starts] == [joint for joint in JOINTS for _ in RIGID]
@@ -69,7 +59,7 @@ def test_joints_are_begun_stiff_on_a_rig_that_has_them_the_other_constants_at_no
 @pytest.mark.parametrize(("key", "factor"), [("length", 0.2), ("flexural_rigidity", 0.04)])
 def test_a_beam_that_is_quite_another_than_the_rig_file_says_is_named(key: str, factor: float) -> None:
     """From nominal the way ends in side valleys, where other causes make up for it."""
-    found = diagnose(Rig.model_validate(SFLR), runs_of(8302, "beam", key, factor), effort="quick").diagnosis
+    found = diagnose(ARM, runs_of(8302, "beam", key, factor), effort="quick").diagnosis
     assert [cause.effect for cause in found.causes] == [f"parameter:beam.{key}"]
     ratio = found.causes[0].parameters["value"].value / (SFLR["beam"][key] * factor)
     assert 0.75 < ratio < 1.33

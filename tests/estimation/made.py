@@ -1,9 +1,16 @@
-"""Runs of a rigid axis by the station's own model, whole counts, for tests of the estimation's parts."""
+"""Runs of a rigid axis by the station's own model, whole counts, and predictions of runs, for tests of the parts."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+
 import numpy as np
 
+from station.estimation.dataset import dataset
+from station.estimation.observer import observers
+from station.estimation.prediction import Predictor
 from station.model.simulate import simulate
 from station.rig import Rig
 from station.runs.run import Run, RunMetadata
@@ -29,3 +36,11 @@ def run_of(rig: Rig, amplitude: float, controller: str, name: str, seconds: floa
 def runs_of(rig: Rig) -> list[Run]:
     """Three runs."""
     return [run_of(rig, 90.0, "p2", "step"), run_of(rig, -60.0, "p1", "down"), run_of(rig, 60.0, "open", "pulses")]
+
+
+@contextmanager
+def predictions(rig: Rig, runs: Sequence[Run]) -> Iterator[Predictor]:
+    """Of runs, at the horizons of a diagnosis."""
+    data = dataset(rig, runs)
+    with ThreadPoolExecutor(2) as pool:
+        yield Predictor(data, observers(data.rig, data.noise[0]), pool)
