@@ -130,15 +130,15 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     known = standing(data, said.causes, best.space.rig_at(best.x))
     told = completed(found, said.causes, known) if said.causes in dict(found.sets) else found
     decision = verdict(said, told, search.screened, left.is_noise, against, known)
-    if not left.is_noise:
-        told, spoken = with_outside(told), with_outside(spoken)
-    causes = []
-    if decision in ("explained", "partly_explained", "ambiguous"):
+    named = decision in ("explained", "partly_explained", "ambiguous")
+    if named:
         laws = {key: spoken.causes[key] for key in said.causes if spoken.causes[key] != found.causes.get(key)}
         told = replace(told, causes={**told.causes, **laws})
-        causes = [Cause(effect=key[0], at=key[1], probability=min(told.causes[key], 1.0), parameters=values[key],
-                        stability=min(spoken.stability.get(key, 0.0), 1.0),
-                        rivals=rivals(told, said.causes, key, known)) for key in _in_order(search, said.causes, told)]
+    if not left.is_noise:
+        told = with_outside(told)
+    causes = [Cause(effect=key[0], at=key[1], probability=min(told.causes[key], 1.0), parameters=values[key],
+                    stability=min(spoken.stability.get(key, 0.0), 1.0), rivals=rivals(told, said.causes, key, known))
+              for key in _in_order(search, said.causes, told)] if named else []
     extended = best.space.rig_at(best.x) if causes else nothing.space.rig_at(nothing.x)
     refit_rig = nothing.space.rig_at(nothing.x)
     shown: list[Simulation | None] = list(after) if causes else [None] * len(runs)
