@@ -141,8 +141,8 @@ def predict_run(data: Dataset, model: Model, observers: Sequence[Observer], run:
 class Predictor:
     """Data, observers and accuracy: all that predictions need beside parameters.
 
-    b blocks: the encoder at every horizon; the accelerometer at one alone, for nothing of it is fed back and a beam
-    rings by itself, so that its errors are the same at all.
+    b blocks: the encoder at every horizon; the accelerometer at the last alone, for nothing of it is fed back and a
+    beam rings by itself, so that its errors are the same at all.
     """
 
     data: Dataset
@@ -214,7 +214,7 @@ class Predictor:
                                 equilibrium=data.runs[r].metadata.start == "equilibrium")
                   for r, angle, zero in zip(runs, start, zeros, strict=True)]
         blocks, accel_at = len(self.channel), np.full(count, -1)
-        accel_at[count // 2] = count if self._accelerometers else -1
+        accel_at[-1] = count if self._accelerometers else -1
         finder = data.finder if any(data.warm) else self.observers[0]
         out = _predicted(model, [*self.observers, finder], logs, starts, own, accel_at, blocks, np.zeros(0))
         edges = (blocks * logs.first).tolist()
