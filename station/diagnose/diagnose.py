@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from station.diagnose.collinear import collinear
 from station.diagnose.equivalences import completed, rivals, standing, with_word
 from station.diagnose.experiment import choose
 from station.diagnose.measures import floor, nrmse, step_measures
@@ -109,8 +110,8 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     nothing = search.fits[frozenset()]
     said, chosen, best, left = _fitted(search, said, spoken.sets[0][0])
     if said.one_of and not left.is_noise:
-        # Where more than noise is left what few resamples name may stand in for something else (``verdict``).
-        said, chosen, best, left = _fitted(search, said.stable, spoken.sets[0][0])
+        said = stated(spoken, partial(collinear, search, spoken.sets[0][0]))
+        said, chosen, best, left = _fitted(search, said, spoken.sets[0][0])
     report("judging on runs left out", 0.92)
     left_out = {said.causes: leave_each_out(predictor, best.weighing, best)}
     left_out.setdefault(frozenset(), leave_each_out(predictor, search.own_weighing(nothing), nothing))

@@ -49,16 +49,18 @@ class Odds:
     resampled: tuple[Causes, ...] = ()
     """The best set of every resample."""
 
-    def in_its_place(self, best: Causes, cause: Key) -> float:
+    def in_its_place(self, best: Causes, cause: Key, among: Causes | None = None) -> float:
         """Share of the resamples that name a cause of the best set or, beside all the others of it, one more in its
-        place; an effect is the same at whichever of its places."""
+        place, any or one ``among`` some; an effect is the same at whichever of its places."""
         if not self.resampled:
             return 0.0
         ours, rest = ({name for name, _ in keys} for keys in (best, best - {cause}))
+        others = None if among is None else {name for name, _ in among}
 
         def holds(keys: Causes) -> bool:
             names = {name for name, _ in keys}
-            return cause[0] in names or rest <= names and bool(names - ours)
+            new = names - ours if others is None else (names - ours) & others
+            return cause[0] in names or rest <= names and bool(new)
         return sum(map(holds, self.resampled)) / len(self.resampled)
 
     def replacements(self, best: Causes, cause: Key) -> dict[Key, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from station.diagnose.equivalences import Standing
@@ -10,7 +10,7 @@ from station.diagnose.odds import Odds
 from station.diagnose.result import Verdict
 from station.diagnose.screening import Screened
 from station.diagnose.thresholds import STABLE, SURE, VISIBLE
-from station.estimation.parameters import Causes
+from station.estimation.parameters import Causes, Key
 
 
 @dataclass(frozen=True)
@@ -21,23 +21,21 @@ class Stated:
     one_of: Causes = frozenset()
     """Those of them that the data cannot tell from their rivals: something like them is there."""
 
-    @property
-    def stable(self) -> Stated:
-        """What stands by itself."""
-        return Stated(self.causes - self.one_of)
 
-
-def stated(found: Odds) -> Stated:
+def stated(found: Odds, alike: Callable[[Key], Causes] | None = None) -> Stated:
     """The causes of the best set that hold in at least STABLE of the resamples.
 
     One that does not, though in as many resamples it or one rival in its place is named, is stated as one of several:
     these data show that there is one, and cannot tell which.  So is, where nothing else can be stated though as many
-    resamples name some cause, the best set's most stable one.
+    resamples name some cause, the best set's most stable one.  Where more than noise is left something that no
+    hypothesis holds is at work, too, and what few resamples name may stand in for it: there a rival counts only where
+    it does the same to the runs (``alike``, of a cause of the best set).
     """
     best = found.sets[0][0]
     stable = frozenset(key for key in best if found.stability.get(key, 0.0) >= STABLE)
-    one_of = frozenset(key for key in best - stable if found.in_its_place(best, key) >= STABLE)
-    if not stable and not one_of and best and 1.0 - found.nothing >= STABLE:
+    one_of = frozenset(key for key in best - stable
+                       if found.in_its_place(best, key, None if alike is None else alike(key)) >= STABLE)
+    if alike is None and not stable and not one_of and best and 1.0 - found.nothing >= STABLE:
         one_of = frozenset([max(sorted(best), key=lambda key: found.stability.get(key, 0.0))])
     return Stated(stable | one_of, one_of)
 
@@ -54,9 +52,7 @@ def verdict(said: Stated, told: Odds, screened: Sequence[Screened], is_noise: bo
                 plain[one.candidate.key] = max(plain.get(one.candidate.key, 0.0), one.information)
         seen = sum(value > VISIBLE for value in plain.values())
         return "nothing_missing" if seen >= 0.5 * len(plain) else "not_enough_data"
-    if not is_noise and (said.one_of or against):
-        # Where more than noise is left something that no hypothesis holds is at work, too, and what few resamples name
-        # may stand in for it.
+    if not is_noise and against:
         return "unexplained"
     if said.one_of:
         return "ambiguous"

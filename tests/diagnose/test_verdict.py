@@ -68,12 +68,23 @@ def test_a_cause_that_shares_its_resamples_with_one_rival_is_stated_beside_a_sta
                    resampled=tuple(drawn))
     found = stated(told)
     assert found == Stated(frozenset({FRICTION, LAG}), frozenset({LAG}))
-    assert found.stable == Stated(frozenset({FRICTION}))
-    assert judged(found, told) == "ambiguous"
+    assert judged(found, told) == judged(found, told, noise=False) == "ambiguous"
     fewer = replace(told, resampled=tuple(drawn[:75] + [frozenset({FRICTION})] * 25))
     assert stated(fewer) == Stated(frozenset({FRICTION}))
     without = replace(told, resampled=tuple(drawn[:55] + [frozenset({DELAY})] * 45))
     assert stated(without) == Stated(frozenset({FRICTION}))
+
+
+def test_beside_more_than_noise_a_rival_counts_only_where_it_does_the_same_to_the_runs() -> None:
+    drawn = [frozenset({FRICTION, LAG})] * 55 + [frozenset({FRICTION, DELAY})] * 40 + [frozenset({FRICTION})] * 5
+    told = replace(odds(({FRICTION, LAG}, 0.55), ({FRICTION, DELAY}, 0.4), ({FRICTION}, 0.05), friction=1.0),
+                   resampled=tuple(drawn))
+    both = stated(told, lambda cause: frozenset({DELAY}) if cause == LAG else NONE)
+    assert both == Stated(frozenset({FRICTION, LAG}), frozenset({LAG}))
+    assert judged(both, told, noise=False, against=True) == "unexplained"
+    assert stated(told, lambda cause: NONE) == Stated(frozenset({FRICTION}))
+    shared = odds(({FRICTION}, 0.5), ({DEAD_ZONE}, 0.5), friction=0.5, dead_zone=0.5)
+    assert stated(shared).one_of and not stated(shared, lambda cause: NONE).causes
 
 
 def test_where_nothing_may_be_missing_no_unstable_cause_is_stated() -> None:
@@ -112,9 +123,9 @@ def test_a_cause_that_leaves_more_than_noise_is_not_stated_where_runs_left_out_s
     assert judged(Stated(frozenset({FRICTION}), frozenset({FRICTION})), noise=False, against=True) == "unexplained"
 
 
-def test_what_the_resamples_cannot_tell_apart_is_ambiguous_and_names_nothing_where_more_than_noise_is_left() -> None:
+def test_what_the_resamples_cannot_tell_apart_is_ambiguous_whatever_is_left() -> None:
     torn = Stated(frozenset({FRICTION}), frozenset({FRICTION}))
-    assert judged(torn, noise=True) == "ambiguous" and judged(torn, noise=False) == "unexplained"
+    assert judged(torn, noise=True) == judged(torn, noise=False) == "ambiguous"
 
 
 def test_a_cause_less_than_sure_is_ambiguous_and_one_sure_cause_is_enough() -> None:
