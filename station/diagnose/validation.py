@@ -245,6 +245,6 @@ def gain(data: Dataset, names: Sequence[str], before: Sequence[Simulation], afte
         runs[r].measured, runs[r].before, runs[r].after = (step_measures(run, s.encoder) for s in (run, old, new))
         if ahead is not None:
             runs[r].ahead = {k: ChannelGain(nrmse_before=ahead[0][r][k], nrmse_after=ahead[1][r][k])
-                             for k in ahead[0][r]}
+                             for k in ahead[0][r] if np.isfinite([ahead[0][r][k], ahead[1][r][k]]).all()}
     return Gain(held_out=list(names), encoder=found.get("encoder"), accel=found.get("accel"), runs=runs,
                 explained_fraction=float(np.mean(fractions)) if fractions else None)

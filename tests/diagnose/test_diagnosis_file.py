@@ -51,6 +51,7 @@ MADE = {
     "slip": (SFLR_RIG, lambda: made(SFLR, [effect("encoder_slip", "", counts=9.0, mean_time=0.4)])),
     "second arm": (SFLR_RIG, lambda: made(SFLR, [SECOND_ARM])),
     "nothing moves": (SFLR_RIG, lambda: made(SFLR, [], [step_test(RATE, "p2", 0.0, 0.8) for _ in range(2)])),
+    "one rests": (AXIS, lambda: made(RIGID_AXIS, [], [step_test(RATE, "p2", 0.0, 0.8), *TESTS[:2]])),
     "gain": (AXIS, lambda: made(STRONG_MOTOR, [])),
     "either delay": (AXIS, lambda: made(RIGID_AXIS, [effect("input_delay", "amplifier", time=0.007)])),
 }
@@ -213,6 +214,14 @@ def test_what_no_law_describes_is_not_explained(diagnoses, name):
 
 def test_runs_in_which_nothing_moves_are_not_enough(diagnoses):
     assert diagnoses("nothing moves")[1].diagnosis.verdict == "not_enough_data"
+
+
+def test_a_run_that_rests_has_no_error_in_units_of_its_motion(diagnoses):
+    runs, result = diagnoses("one rests")
+    found = result.diagnosis
+    assert np.ptp(runs[0].encoder) == 0.0 and [bool(row.ahead) for row in found.gain.runs] == [False, True, True]
+    assert all(wrong.run != runs[0].name for wrong in found.wrong if wrong.measure == "nrmse")
+    assert Diagnosis.model_validate_json(found.to_json()) == found
 
 
 def test_two_causes_that_no_test_tells_apart_are_ambiguous(diagnoses):
