@@ -25,7 +25,7 @@ FRICTION = ("coulomb_friction", "motor")
 @pytest.fixture(scope="module")
 def known() -> Iterator[tuple[Linearised, Change]]:
     """A rig that has friction, fitted without it, and what as much of it changes as seems best."""
-    runs = make_case(8071, [FRICTION], nominal=RIGID_AXIS, count=4, band=(400.0, 1e5)).runs
+    runs = make_case(8171, [FRICTION], nominal=RIGID_AXIS, count=4, band=(400.0, 1e5)).runs
     with predictions(Rig.model_validate(RIGID_AXIS), runs) as predictor:
         data = predictor.data
         base = base_fit(predictor)

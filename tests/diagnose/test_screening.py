@@ -47,7 +47,7 @@ def exchanges(predictor: Predictor, causes: Sequence[Key]) -> tuple[Fit, list[Ex
 
 def test_what_should_stand_in_a_causes_place_is_found_beside_the_other() -> None:
     """A dead zone was taken for a curve beside friction: a parent that has the curve need not lead to it."""
-    with hiding(RIGID_AXIS, 8061, [DEAD_ZONE, FRICTION]) as predictor:
+    with hiding(RIGID_AXIS, 8361, [DEAD_ZONE, FRICTION]) as predictor:
         parent, found = exchanges(predictor, [CURVE, FRICTION])
         instead = [one for one in found if one.less == CURVE]
         assert {one.less for one in found} == {CURVE, FRICTION}
