@@ -174,7 +174,7 @@ def laws(found: Diagnosis) -> dict[str, Cause]:
 
 
 def test_every_other_row_of_the_arm_names_the_same_laws() -> None:
-    """Half the rows hold half the evidence: of what probability is left is no less than 0.8 of what the catalogue has."""
+    """Half the rows hold half the evidence, and yet each cause keeps at least 0.8 of what the catalogue has."""
     whole, other = plain("arm"), changed("arm", "half rate")
     assert whole.verdict == other.verdict and laws(whole).keys() == laws(other).keys()
     assert min(cause.probability for cause in other.causes) > 0.8 * (1.0 - OUTSIDE)
