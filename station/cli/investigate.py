@@ -107,8 +107,10 @@ def first_test(text: str, rig: Rig) -> dict[str, Any]:
 def capped(test: dict[str, Any], open_loop: bool, rig: Rig, cap: float | None) -> dict[str, Any]:
     """The test with an amplitude (counts) within the cap and the rig's limits.
 
-    In closed loop the reference stays so far within ``limits.travel`` that an overshoot of 60 % does, too.
+    In closed loop the reference stays so far within ``limits.travel`` that its overshoot (OVERSHOOT) does, too.
     """
+    from station.diagnose.trials import OVERSHOOT
+
     size = test.get("amplitude")
     if not isinstance(size, int | float):
         return test
@@ -116,7 +118,7 @@ def capped(test: dict[str, Any], open_loop: bool, rig: Rig, cap: float | None) -
     if open_loop:
         bounds.append(rig.command_limit)
     elif rig.limits is not None and rig.limits.travel is not None:
-        bounds.append(math.floor(rig.limits.travel / rig.angle_per_count / 1.6))
+        bounds.append(math.floor(rig.limits.travel / rig.angle_per_count / OVERSHOOT))
     allowed = min(bounds)
     return test if abs(size) <= allowed else {**test, "amplitude": math.copysign(allowed, size)}
 

@@ -23,6 +23,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -30,7 +31,7 @@ from station.diagnose.candidates import candidates
 from station.diagnose.odds import Odds
 from station.diagnose.result import NextExperiment, Prediction, Verdict
 from station.diagnose.selection import Selection
-from station.diagnose.trials import Trial, most, trials
+from station.diagnose.trials import OVERSHOOT, Trial, most, trials
 from station.estimation.least_squares import Fit
 from station.estimation.likelihood import NUISANCES
 from station.estimation.noise import ACCEL_DEFAULT, QUANTISATION, correlation_time, rounding_shares
@@ -62,6 +63,10 @@ STEP = 0.5
 """Longest step along one, prior sigmas or logarithm."""
 TRAVEL = 0.5
 """Of a turn: as far as a test may move the arm."""
+FURTHER = 2.0
+"""Times as far as any run went: as far as the next one may, where the rig file does not say how far the rig can go."""
+LITTLE = 0.05
+"""Of a turn: as far as a test may go whatever the runs did."""
 SLACK = 0.1
 """Share of the best worth that a shorter or gentler test may lack."""
 AGAIN = 0.5
@@ -70,6 +75,8 @@ REFINED = (0.7, 1.4)
 """Amplitudes tried about the best test's, as factors."""
 PAST = 8
 """Runs whose part in what is known already is worked out, the longest."""
+DARING = 2.0
+"""Times the reach that a test may take where the stated uncertainty may put the rig."""
 BOLD = 6
 """Draws from the rig's stated uncertainty on which the first test must behave."""
 
@@ -141,6 +148,22 @@ class Planner:
         self.rig, self.sigma, self.pool = rig, sigma, pool
         self.runs = sorted(runs, key=len, reverse=True)
 
+    @cached_property
+    def reach(self) -> float:
+        """As far as a test may take the arm from where it begins, counts: half a turn, and not beyond
+        ``limits.travel``.
+
+        Where the rig file has no such limit nobody knows how far the rig can go (an axis has ends): twice as far as
+        the runs went, but a twentieth of a turn in any case.
+        """
+        turn, limits = self.rig.encoder.counts_per_revolution, self.rig.limits
+        if limits is not None and limits.travel is not None:
+            return min(TRAVEL * turn, limits.travel / self.rig.angle_per_count)
+        if not self.runs:
+            return TRAVEL * turn
+        went = max(float(np.max(np.abs(run.encoder - run.encoder[0]))) for run in self.runs)
+        return min(TRAVEL * turn, max(FURTHER * went, LITTLE * turn))
+
     @property
     def channels(self) -> int:
         """1 without an accelerometer, else 2."""
@@ -184,12 +207,12 @@ class Planner:
             variance = variance + 0.5 * np.array([np.mean(row**2) * correlation_time(row) for row in scatter])
         return np.sqrt(share / variance[:, None])
 
-    def behaves(self, trial: Trial, forecast: Forecast, turns: float = TRAVEL) -> bool:
-        """Whether a laboratory would run it: finite, within the travel, and a closed loop follows."""
+    def behaves(self, trial: Trial, forecast: Forecast, share: float = 1.0) -> bool:
+        """Whether a laboratory would run it: finite, within that share of the reach, and a closed loop follows."""
         if not (np.all(np.isfinite(forecast.mean)) and np.all(np.isfinite(forecast.spread))):
             return False
         angle = forecast.mean[0]
-        if np.max(np.abs(angle)) > turns * self.rig.encoder.counts_per_revolution:
+        if np.max(np.abs(angle)) > share * self.reach:
             return False
         if trial.closed and np.max(np.abs(angle)) > 3.0 * trial.amplitude + 50.0:
             return False
@@ -223,15 +246,23 @@ class Planner:
         return Prediction(trial.complete(), run.t, run.reference, words, (pair[0][0], pair[1][0]), accel)
 
     def best(self, judge: Callable[[list[Trial]], list[Worth]], start: list[Trial]) -> Worth | None:
-        """The best of the trials and of amplitudes about the best one's; of equals the shorter and gentler."""
+        """The best of the trials, made as small as the reach asks, and of amplitudes about the best one's; of equals
+        the shorter and gentler."""
+        sized = [trial.sized(1.0, self.most(trial)) for trial in start]
+        start = [trial for k, trial in enumerate(sized) if trial not in sized[:k]]
         judged = judge(start)
         if not judged:
             return None
         leading = max(judged, key=lambda w: w.value).trial
-        finer = [leading.sized(factor, most(leading, self.rig)) for factor in REFINED]
+        finer = [leading.sized(factor, self.most(leading)) for factor in REFINED]
         judged += judge([trial for trial in finer if trial not in start])
         top = max(w.value for w in judged)
         return min((w for w in judged if w.value >= top - SLACK * abs(top)), key=lambda w: w.cost)
+
+    def most(self, trial: Trial) -> float:
+        """Largest amplitude: a closed loop's reference leaves room for its overshoot within the reach."""
+        largest = most(trial, self.rig)
+        return min(largest, self.reach / OVERSHOOT) if trial.closed else largest
 
     def worth(self, trial: Trial, value: float) -> float:
         """Less where it was run already."""
@@ -318,11 +349,12 @@ class Blocks:
 
 
 def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]], bold: Sequence[Belief] = (),
-            ) -> Callable[[list[Trial]], list[Worth]]:
+            share: float = 1.0) -> Callable[[list[Trial]], list[Worth]]:
     """Judge trials by how much of the catalogue they make visible that the planner's runs did not.
 
     ``base``: where the rig stands, its axes the uncertainty before any run.  ``effects``: words and the effect at a
-    usual size.  ``bold``: where else the rig may stand; a trial must behave there too.
+    usual size.  ``bold``: where else the rig may stand; a trial must behave there too, within that ``share`` of the
+    reach.
     """
     first = base.model(base.x)
     k, m = base.axes.shape[1], len(effects)
@@ -359,7 +391,7 @@ def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]
         for r, (trial, run, (here, outputs, blocks)) in enumerate(zip(tried, runs, looked(runs), strict=True)):
             if not planner.behaves(trial, here):
                 continue
-            if not all(planner.behaves(trial, forecasts[r], 2.0 * TRAVEL) for forecasts in daring):
+            if not all(planner.behaves(trial, forecasts[r], share) for forecasts in daring):
                 continue
             both = (past + blocks).gram()
             new = np.diag(both)
@@ -431,14 +463,14 @@ def choose(search: Selection, odds: Odds, verdict: Verdict) -> Choice:
         beliefs = [belief(search, search.fits[keys]) for keys, _ in rivals]
         found = planner.best(between(planner, beliefs, [p for _, p in rivals]), trials(data.rig, causes))
         if found is not None and found.decides:
-            return _choice(replace(found, why=found.why + _telling(best)))
+            return _choice(replace(found, why=found.why + _telling(best)), planner)
         if verdict == "ambiguous":
             undecidable = (f"{beliefs[0].words} and {beliefs[1].words} predict the same in every test that "
                            "this station can run, within what refitted constants absorb"
                            + (f" (chi^2 = {found.distance:.1f} at most)" if found is not None else ""))
     fit = search.fits[best]
     judge = showing(planner, _plain(search, fit), _addable(data.rig, best), [belief(search, fit)])
-    plan = _choice(planner.best(judge, trials(data.rig)))
+    plan = _choice(planner.best(judge, trials(data.rig)), planner)
     if undecidable is not None:
         return Choice(NextExperiment(test=None, why=undecidable), None, plan.next, plan.unseen)
     return plan
@@ -460,14 +492,15 @@ def first_test(rig: Rig) -> Choice:
     bold = [replace(base, x=x) for x in np.random.default_rng(0).normal(size=(BOLD, len(paths)))]
     with ThreadPoolExecutor(2) as pool:
         planner = Planner(rig, np.array([np.sqrt(QUANTISATION), *accel]), pool)
-        found = (planner.best(showing(planner, base, _addable(rig), bold), trials(rig))
+        found = (planner.best(showing(planner, base, _addable(rig), bold, DARING), trials(rig))
                  or planner.best(showing(planner, base, _addable(rig)), trials(rig)))
-    return _choice(found)
+    return _choice(found, planner)
 
 
-def _choice(found: Worth | None) -> Choice:
+def _choice(found: Worth | None, planner: Planner) -> Choice:
     if found is None:
-        none = NextExperiment(test=None, why="no test of this station keeps this rig within half a turn")
+        none = NextExperiment(test=None, why="no test of this station keeps this rig within "
+                                             f"{planner.reach:.0f} counts of where it begins")
         return Choice(none, None, none)
     asked = NextExperiment(test=found.trial.complete(), why=found.why)
     return Choice(asked, found.prediction, asked, found.shown)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -11,6 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from station import __version__, markup
+from station.diagnose.measures import nrmse
 from station.model.simulate import Simulation
 from station.rig import Rig
 from station.runs.run import Run
@@ -185,6 +187,12 @@ class RunComparison:
     refit: Simulation
     after: Simulation | None
     held_out: bool = True
+
+    def errors(self, channel: str) -> list[float | None]:
+        """nrmse before, re-fitted and after; None where there is no such simulation or the channel never moves."""
+        found = [nrmse(getattr(self.run, channel), getattr(s, channel)) if s is not None else math.inf
+                 for s in (self.before, self.refit, self.after)]
+        return [error if math.isfinite(error) else None for error in found]
 
 
 @dataclass(frozen=True)

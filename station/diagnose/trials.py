@@ -46,6 +46,8 @@ DRIVEN: tuple[dict[str, Any], ...] = (
     {"kind": "prbs", "amplitude": 0.5, "hold": 0.05, "bits": 6, "duration": 3.4},
 )
 """Tests of an open loop; amplitudes as shares of the amplifier's limit."""
+OVERSHOOT = 1.6
+"""Times its reference that a closed loop may go."""
 ALIKE = 1.6
 """Ratio of amplitudes up to which two tests of one kind and controller count as the same."""
 

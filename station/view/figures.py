@@ -276,9 +276,7 @@ def hero_choice(result: DiagnosisResult) -> tuple[RunComparison, str] | None:
             return by_name[wrong.run], wrong.channel
     candidates = [c for c in result.comparisons if c.held_out] or result.comparisons
 
-    def error(comparison: RunComparison) -> float:
-        return float(np.nan_to_num(remaining.nrmse(comparison.run.encoder, comparison.before.encoder)))
-    return max(candidates, key=error), "encoder"
+    return max(candidates, key=lambda c: c.errors("encoder")[0] or 0.0), "encoder"
 
 
 def _channels_of(found: list[Residual]) -> list[str]:

@@ -17,12 +17,6 @@ BAND = float(stats.norm.ppf(0.995))
 """Half width, standard deviations, of a band that holds 99 % of a Gaussian."""
 
 
-def nrmse(measured: np.ndarray, simulated: np.ndarray) -> float:
-    """‖measured − simulated‖ / ‖measured − mean‖; undefined (nan) where the signal never moves."""
-    scale = np.linalg.norm(measured - np.mean(measured))
-    return float(np.linalg.norm(measured - simulated) / scale) if scale > 0.0 else float("nan")
-
-
 def amplitude_density(residual: np.ndarray, sample_rate: float, segment: int = 512) -> tuple[np.ndarray, np.ndarray]:
     """Frequency, Hz, and amplitude density, units/√Hz, by Welch's method (Welch 1967, Hann, half overlap)."""
     frequency, density = signal.welch(residual, sample_rate, nperseg=min(segment, len(residual)))

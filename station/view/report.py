@@ -54,8 +54,8 @@ class GainRow:
     name: str
     channel: str
     held_out: bool
-    before: float
-    refit: float
+    before: float | None
+    refit: float | None
     after: float | None
 
 
@@ -252,18 +252,13 @@ class _Page:
         rows = []
         for number, c in enumerate(self.result.comparisons, start=1):
             for channel in figures.channels(c):
-                measured = getattr(c.run, channel)
-                errors = [remaining.nrmse(measured, getattr(s, channel)) if s is not None else None
-                          for s in (c.before, c.refit, c.after)]
-                rows.append(GainRow(number, c.run.name, wording.CHANNELS[channel], c.held_out, *errors))
+                rows.append(GainRow(number, c.run.name, wording.CHANNELS[channel], c.held_out, *c.errors(channel)))
         return rows
 
     @property
     def gain_scale(self) -> float:
         """The largest error of the gain table, the width of its drawings."""
-        finite = [e for r in self.gain_rows for e in (r.before, r.refit, r.after)
-                  if e is not None and math.isfinite(e)]
-        return max([*finite, 1e-12])
+        return max([e for r in self.gain_rows for e in (r.before, r.refit, r.after) if e is not None], default=1e-12)
 
     @property
     def white_rows(self) -> list[WhiteRow]:

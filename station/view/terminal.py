@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 from rich import box
 from rich.console import Console
 from rich.table import Table
@@ -12,7 +11,7 @@ from rich.text import Text
 
 from station.diagnose.result import Diagnosis, DiagnosisResult, RunComparison
 from station.diagnose.validation import UNKNOWN_AHEAD
-from station.view import remaining, wording
+from station.view import wording
 
 RANKED = 6
 """Candidates shown."""
@@ -64,11 +63,9 @@ def print_comparison(comparisons: Sequence[RunComparison], console: Console) -> 
     rows = []
     for c in comparisons:
         for channel, words in wording.CHANNELS.items():
-            measured = getattr(c.run, channel)
-            if measured is None or getattr(c.before, channel) is None:
+            if getattr(c.run, channel) is None or getattr(c.before, channel) is None:
                 continue
-            errors = [wording.percent(_error(measured, getattr(s, channel))) if s is not None else "–"
-                      for s in (c.before, c.refit, c.after)]
+            errors = [wording.percent(error) for error in c.errors(channel)]
             rows.append((c.run.name, words, *errors, "held out" if c.held_out else "in the fit"))
     console.print(_table("Error, share of the signal", ["run", "channel", "before", "re-fitted", "after", ""], rows))
     if any(wording.is_predicted(c.run) for c in comparisons):
@@ -91,11 +88,6 @@ def _print_ahead(found: Diagnosis, console: Console) -> None:
         rows.append((row.run, *cells, *(wording.step_words(m) for m in (row.measured, row.before, row.after) if steps)))
     console.print(_table("Angle predicted ahead" + ("; overshoot and settling time" if steps else ""),
                          columns + (["measured", "before", "after"] if steps else []), rows))
-
-
-def _error(measured: np.ndarray, simulated: np.ndarray) -> float | None:
-    error = remaining.nrmse(measured, simulated)
-    return error if np.isfinite(error) else None
 
 
 def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 
 from station.campaign.outcome import Outcome, Task, diagnosed
 from station.campaign.summary import title
-from tests.truth import OUTSIDE, SERVO, SFLR, Case, make_case
+from tests.truth import OUTSIDE, RIGID_AXIS, SERVO, SFLR, TWO_MASS, Case, make_case
 
 BAND = (400.0, 1e5)
 """Severity that a hidden effect is sized for unless a task says otherwise: from twice what the contract calls clear to
@@ -18,8 +18,9 @@ what nobody overlooks.  `clock_scale` and causes outside the catalogue are not s
 costs its own uncertainty, can seldom be as plain: from what the contract calls clear on."""
 RUNS = 5
 
-RIGS = {"sflr": SFLR, "servo": SERVO}
-"""Rigs that cases are drawn around: the flexible arm, and a geared servo that swings a pendulum."""
+RIGS = {"sflr": SFLR, "servo": SERVO, "axis": RIGID_AXIS, "two-mass": TWO_MASS}
+"""Rigs that cases are drawn around: the flexible arm, a geared servo that swings a pendulum, one inertia on a motor,
+and two joined by a shaft."""
 
 Cause = tuple[str, str | None]
 """(effect, at); at None where the effect has one place, or any will do."""

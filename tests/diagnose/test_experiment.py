@@ -26,7 +26,7 @@ from station.diagnose.experiment import (
 from station.diagnose.result import Prediction
 from station.diagnose.trials import LEAD, OPEN, P, Trial, trials
 from station.model.effects import effect_class
-from station.model.simulate import build
+from station.model.simulate import build, simulate_model
 from station.rig import Limits, Rig, load_rig
 from station.runs.run import Run, RunMetadata
 
@@ -52,6 +52,12 @@ STEPS = [Trial({"kind": "step", "amplitude": 20.0}, P), Trial({"kind": "step", "
 def planner():
     with ThreadPoolExecutor(1) as pool:
         yield Planner(SFLR, SIGMA, pool)
+
+
+def gone(trial: Trial) -> Run:
+    """A test that took the arm a quarter of a turn."""
+    run = trial.as_run(SFLR)
+    return replace(run, encoder=np.linspace(0.0, SFLR.encoder.counts_per_revolution / 4.0, len(run)))
 
 
 def hypothesis(words: str, *effects, sigma: float = 0.01, shift: float = 0.0, paths=PATHS) -> Belief:
@@ -127,7 +133,7 @@ def test_what_the_runs_so_far_have_shown_is_worth_less(planner):
     base = hypothesis("plain", sigma=0.03)
     dead = ("dead zone", effect("dead_zone", "amplifier", width=6.0))
     clipped = ("clipping", effect("actuator_saturation", "amplifier", limit=120.0))
-    after = Planner(SFLR, SIGMA, planner.pool, [STEPS[0].as_run(SFLR)])
+    after = Planner(SFLR, SIGMA, planner.pool, [gone(STEPS[0])])
     other = Trial({"kind": "triangle", "amplitude": 40.0}, P)
     fresh, seen = (showing(p, base, [dead])([other])[0].value for p in (planner, after))
     assert seen < 0.5 * fresh
@@ -221,6 +227,24 @@ def test_a_test_that_would_throw_the_rig_about_is_not_chosen(planner):
         [True, False]
     far = Trial({"kind": "pulse", "amplitude": 200.0, "width": 1.0}, OPEN)
     assert not planner.behaves(far, planner.forecasts(belief, [far.as_run(SFLR)])[0])
+
+
+def test_no_test_goes_beyond_what_the_rig_file_or_the_runs_say_a_rig_can_go(planner):
+    """Nobody knows how far a rig can go whose file does not say: an axis has ends."""
+    short = Trial({"kind": "step", "amplitude": 20.0}, P).as_run(SFLR)
+    far = replace(short, encoder=np.linspace(100.0, 160.0, len(short)))
+    turn = SFLR.encoder.counts_per_revolution
+    stated = SFLR.model_copy(update={"limits": Limits(travel=80.0 * SFLR.angle_per_count)})
+
+    def reach(rig, *runs):
+        return Planner(rig, planner.sigma, planner.pool, runs).reach
+
+    assert (reach(SFLR), reach(SFLR, short), reach(SFLR, short, far)) == (turn / 2.0, turn / 20.0, 120.0)
+    assert reach(stated) == reach(stated, far) == pytest.approx(80.0)
+    choice = first_test(stated)
+    model = build(stated.meshed())
+    trial = Trial({k: v for k, v in choice.next.test.items() if k != "controller"}, choice.next.test["controller"])
+    assert np.max(np.abs(simulate_model(model, trial.as_run(stated)).encoder)) <= 80.0
 
 
 @pytest.mark.parametrize("rig", [SFLR, AXIS], ids=lambda rig: rig.name)

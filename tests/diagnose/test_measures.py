@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from station.diagnose.measures import floor, measures, nrmse, overshoot, settling_time, step_measures, step_row
+from station.diagnose.result import RunComparison
 from station.model.simulate import Simulation
 from station.runs.run import Run, RunMetadata
 
@@ -88,6 +89,10 @@ def test_nrmse_is_the_error_over_the_spread_about_the_mean():
 def test_a_channel_that_never_moves_has_no_finite_nrmse():
     assert nrmse(np.full(5, 3.0), np.full(5, 3.0)) == math.inf
     assert floor(np.full(5, 3.0), 1.0) == math.inf
+    still, moves = made(np.zeros(3), np.full(3, 7.0)), made(np.zeros(3), np.array([0.0, 2.0, 4.0]))
+    found = Simulation(still.t, still.reference, still.command, np.array([0.0, 1.0, 5.0]), None)
+    assert RunComparison(still, found, found, None).errors("encoder") == [None, None, None]
+    assert RunComparison(moves, found, found, None).errors("encoder") == pytest.approx([0.5, 0.5, None])
 
 
 def test_the_floor_is_noise_and_rounding_over_the_same_spread():

@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 
+from station.diagnose.measures import nrmse
 from station.diagnose.result import (
     Cause,
     ChannelGain,
@@ -30,7 +31,6 @@ from station.model.simulate import Simulation
 from station.pictures.evidence import Evidence
 from station.rig import Rig, load_rig
 from station.runs.run import Run, RunMetadata
-from station.view.remaining import nrmse
 
 RATE, NODES = 500.0, 5
 FRICTION = 0.031

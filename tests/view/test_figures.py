@@ -26,12 +26,6 @@ def test_thinning_keeps_every_extreme() -> None:
     assert np.all(y[np.searchsorted(t, x)] == kept)
 
 
-def test_nrmse_follows_its_definition() -> None:
-    measured = np.array([0.0, 1.0, 2.0, 3.0])
-    assert remaining.nrmse(measured, measured + 1.0) == pytest.approx(2.0 / np.sqrt(5.0))
-    assert np.isnan(remaining.nrmse(np.ones(4), np.zeros(4)))
-
-
 @pytest.mark.parametrize("colour", [0.0, 0.8])
 def test_a_residual_that_knows_nothing_of_the_command_stays_in_its_band_at_99_of_100_lags(colour: float) -> None:
     """Also where both are slow, which a band of white noise would take for a connection."""
