@@ -101,7 +101,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
               pool: ThreadPoolExecutor) -> DiagnosisResult:
     runs, windows = _usable(rig, given)
     data = dataset(rig, runs, windows)
-    predictor = Predictor(data, observers(data.rig, data.noise[0]), pool)
+    predictor = Predictor(data, observers(data.rig, data.noise[0]), pool, *EFFORTS[effort].accuracies)
     search = select(predictor, EFFORTS[effort], report)
     report("drawing the data again", 0.88)
     found = odds(search)

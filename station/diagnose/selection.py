@@ -23,7 +23,7 @@ from station.estimation.constants import base_fit, settled
 from station.estimation.least_squares import FAR, LOST, Fit, fit, inherited, weighing_of
 from station.estimation.likelihood import Weighing
 from station.estimation.parameters import Causes, Hypothesis, Key, Parameters, Sizes, parameters
-from station.estimation.prediction import Predictor
+from station.estimation.prediction import COARSE, FINE, SEARCH, Accuracy, Predictor
 from station.model.effects import Stage
 
 QUICK_STEPS, STEPS = 8, 25
@@ -45,10 +45,14 @@ class Effort:
     """Causes in a set from which on nothing is added to it; a pair on top of the set before may hold one more."""
     content: bool
     """Whether to a set that leaves nothing but noise only what can pay for its prior odds is added."""
+    accuracies: tuple[Accuracy, Accuracy]
+    """Of simulations in the search, and of those from which values are stated."""
 
 
-EFFORTS = {"quick": Effort(tried=6, finished=2, pairs=1, exchanged=1, rungs=2, content=True),
-           "full": Effort(tried=12, finished=4, pairs=3, exchanged=3, rungs=3, content=False)}
+EFFORTS = {"quick": Effort(tried=6, finished=2, pairs=1, exchanged=1, rungs=2, content=True,
+                           accuracies=(COARSE, SEARCH)),
+           "full": Effort(tried=12, finished=4, pairs=3, exchanged=3, rungs=3, content=False,
+                          accuracies=(SEARCH, FINE))}
 
 
 @dataclass

@@ -12,7 +12,7 @@ from station.estimation.dataset import beginning
 from station.estimation.least_squares import LOST, Fit, fit, largest_differ, weighing_of
 from station.estimation.likelihood import Weighing
 from station.estimation.parameters import Hypothesis, Parameters, parameters
-from station.estimation.prediction import FINE, Predictor
+from station.estimation.prediction import Predictor
 
 BEGIN = 0.02
 """Share of all samples that count as independent before anything is known of the errors."""
@@ -123,6 +123,6 @@ def cooled(predictor: Predictor, found: Fit) -> Weighing:
 
 def refined(predictor: Predictor, weighing: Weighing, found: Fit) -> Fit:
     """A fit brought to its very end with finer simulations: values are stated from it."""
-    finer = replace(predictor, accuracy=FINE)
+    finer = replace(predictor, accuracy=predictor.final)
     return fit(finer, found.space, weighing, found.x, found.own, iterations=100, tolerance=0.05,
                renewals=40, to_the_end=True)

@@ -59,7 +59,8 @@ def with_responses(predictor: Predictor, alone: bool) -> ResponsePredictor:
     if alone and not any(spectrum for row in found for spectrum in row):
         raise WorkError("no run is long and rich enough for a fit in the frequency domain (coherence above "
                         f"{COHERENT:g} at {FEWEST} frequencies); fit in the time domain")
-    return ResponsePredictor(data, () if alone else predictor.observers, predictor.pool, predictor.accuracy, found)
+    return ResponsePredictor(data, () if alone else predictor.observers, predictor.pool, predictor.accuracy,
+                             predictor.final, found)
 
 
 def spectra(run: Run, channels: int) -> list[Spectrum | None]:
