@@ -20,6 +20,7 @@ import scipy.linalg
 from station.estimation.noise import QUANTISATION
 from station.model.assembly import torque_input
 from station.model.compiled import njit
+from station.model.effects import Stage
 from station.model.modal import dense
 from station.model.simulate import Model, build
 from station.rig import Rig
@@ -50,11 +51,15 @@ class Observer:
     """Of the beam's mesh, 0 without one."""
 
     def modal(self, model: Model) -> np.ndarray:
-        """(2 b) the gains on another rig's modes: of its own length and mesh, the correction as a shape the same."""
+        """(2 b) the gains on another rig's modes: of its own length and mesh, the correction as a shape the same.
+
+        What a sample corrects is the same whatever the board's clock: a speed counts in true seconds.
+        """
         return _modal(self, model)  # the same for all runs of a rig
 
     def _on(self, model: Model) -> np.ndarray:
-        half = self.state.reshape(2, -1)
+        clock = math.prod(e.values()["ratio"] for e in model.rig.effects if e.stage is Stage.CLOCK)
+        half = self.state.reshape(2, -1) / np.array([[1.0], [clock]])
         if model.rig.beam is None:
             return model.form.inverse @ half.ravel()
         at = half.shape[1] - 2 * self.elements

@@ -12,7 +12,8 @@ from station.estimation.observer import observers
 from station.estimation.prediction import SEARCH, predict, predict_run
 from station.model.effects import effect_class
 from station.model.simulate import build, simulate_model
-from station.rig import load_rig
+from station.model.units import powers
+from station.rig import Rig, load_rig
 from station.runs.run import Run
 from tests.cli.conftest import step_run
 from tests.estimation.made import AXIS, run_of
@@ -56,6 +57,24 @@ def test_a_right_model_misses_no_more_than_rounding_at_any_horizon() -> None:
     found, _ = predict(model, observers(AXIS, 0.0), log_of(run), begun(0.0))
     assert np.abs(run.encoder - found[:, 0]).max() < 1.0
     assert np.std(run.encoder - found[:, 0], axis=1).max() < 0.4
+
+
+@pytest.mark.parametrize("unit", ["torque", "length", "time"])
+@pytest.mark.parametrize("rig", [load_rig("sflr").with_elements(8), AXIS], ids=lambda rig: rig.name)
+def test_a_rig_in_other_units_predicts_the_same(rig: Rig, unit: str) -> None:
+    """Neither what a sample corrects nor a horizon must hang on what no output shows, or causes win by what that does:
+    a unit of torque, of length, or, with a clock that is off, of time."""
+    ratio, paths = 1.3, list(rig.constants())
+    scaled = {path: rig.constants()[path] * ratio**power for path, power in
+              zip(paths, powers(paths, ("torque", "length", "time").index(unit)).tolist(), strict=True)}
+    clock = [effect_class("clock_scale")(at="clock", ratio=ratio)] if unit == "time" else []
+    other = rig.with_constants(scaled).with_effects(clock)
+    run = run_of(rig.with_constants({"motor.gain": 1.2 * rig.motor.gain}), 60.0, "p2", "x")
+    watched = observers(rig, 0.1)
+    (plain, torque), (found, again) = (predict(build(r, 0.0), watched, log_of(run), begun(0.0)) for r in (rig, other))
+    assert np.abs(torque[0]).max() > 1.0
+    np.testing.assert_allclose(again, torque, atol=1e-6)
+    np.testing.assert_allclose(found, plain, atol=1e-6)
 
 
 def test_of_a_run_that_begins_in_motion_the_state_is_found_before_anything_counts() -> None:
