@@ -13,6 +13,7 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -21,7 +22,7 @@ from station.estimation.noise import QUANTISATION
 from station.model.assembly import torque_input
 from station.model.compiled import njit
 from station.model.effects import Stage
-from station.model.modal import dense
+from station.model.modal import apply, dense
 from station.model.simulate import Model, build
 from station.rig import Rig
 
@@ -50,12 +51,15 @@ class Observer:
     elements: int
     """Of the beam's mesh, 0 without one."""
 
-    def modal(self, model: Model) -> np.ndarray:
-        """(2 b) the gains on another rig's modes: of its own length and mesh, the correction as a shape the same.
+    def correction(self, model: Model) -> Correction:
+        """What one count of error changes in another rig's simulation, the same for all its runs.
 
-        What a sample corrects is the same whatever the board's clock: a speed counts in true seconds.
+        Of its own length and mesh, the correction as a shape the same.  What a sample corrects is the same whatever the
+        board's clock: a speed counts in true seconds.  An encoder that is late shows what was to be corrected then: it
+        is carried forward to now, by the rig without its effects, and so are the readings that have not been shown.
+        Or a late encoder would be a worse observer than a late command that does the same.
         """
-        return _modal(self, model)  # the same for all runs of a rig
+        return _correction(self, model)
 
     def _on(self, model: Model) -> np.ndarray:
         clock = math.prod(e.values()["ratio"] for e in model.rig.effects if e.stage is Stage.CLOCK)
@@ -71,9 +75,37 @@ class Observer:
         return model.form.inverse @ found.ravel()
 
 
+class Correction(NamedTuple):
+    """What one count of the encoder's prediction error changes in a simulation."""
+
+    state: np.ndarray
+    """(2 b) modal coordinates."""
+    torque: float
+    """Disturbance, counts of command."""
+    late: np.ndarray
+    """(m) rad, angles that the encoder has yet to show: at the present instant, a step before, and so on."""
+
+
 @functools.lru_cache(maxsize=64)
-def _modal(observer: Observer, model: Model) -> np.ndarray:
-    return observer._on(model)
+def _correction(observer: Observer, model: Model) -> Correction:
+    plan, period, at_once = model.plan, model.plan.substeps * model.plan.h, observer._on(model)
+    if plan.encoder_delay == 0.0 or not at_once.any():
+        return Correction(at_once, observer.torque, np.zeros(0))
+    rig, parts = model.rig, model.assembly
+    count = model.form.inverse @ (rig.motor.gain * torque_input(parts, parts.unit(parts.motor)))
+
+    def after(time: float) -> np.ndarray:
+        """What the correction has become, its torque held over each period and decayed from one to the next."""
+        z, torque = at_once, observer.decay * observer.torque
+        for step in (*[period] * int(time / period), time % period):
+            z = apply(model.form.exponential(step), z) + torque * apply(model.form.integral(step), count)
+            torque *= observer.decay
+        return z
+
+    delay = plan.encoder_delay
+    late = [float(plan.base_angle @ after((delay - k) * plan.h)) for k in range(int(delay) + 1)]
+    torque = observer.torque * observer.decay ** (delay / plan.substeps)
+    return Correction(after(delay * plan.h), torque, np.array(late))
 
 
 def observers(rig: Rig, noise: float, horizons: Sequence[float] = HORIZONS) -> tuple[Observer, ...]:

@@ -41,7 +41,7 @@ SPAN = math.pi
 
 
 @kernel()
-def _predict(plan, fresh, state, gain, torque_gain, decay, span, logs, own, accel_at, out, disturbance, work):
+def _predict(plan, fresh, state, gain, torque_gain, late, decay, span, logs, own, accel_at, out, disturbance, work):
     blocks, horizons, plain = out.size // logs.command.size, accel_at.size, is_plain(plan)
     for run in range(len(own)):
         rows = logs.first[run + 1] - logs.first[run]
@@ -69,6 +69,8 @@ def _predict(plan, fresh, state, gain, torque_gain, decay, span, logs, own, acce
                         error = min(max(logs.encoder[row] - encoder, -span), span)
                     for k in range(state.z.size):
                         state.z[k] += gain[used, k] * error
+                    for k in range(late.shape[1]):
+                        state.angles[(state.clock[2] - k) % state.angles.size] += late[used, k] * error
                     d = decay[used] * (d + torque_gain[used] * error)
                 if disturbance.size > 0:
                     disturbance[horizons * logs.first[run] + horizon * rows + i] = d
@@ -108,9 +110,14 @@ def _predicted(model: Model, used: Sequence[Observer], logs: Logs, starts: Seque
     """
     out: np.ndarray = np.empty(blocks * logs.command.size)
     fresh = (np.array([s.z for s in starts]), np.array([s.effects for s in starts]), np.array([s.last for s in starts]))
-    _predict(model.plan, fresh, starts[0], np.array([o.modal(model) for o in used]), np.array([o.torque for o in used]),
-             np.array([o.decay for o in used]), SPAN / model.rig.angle_per_count, logs, np.ascontiguousarray(own),
-             accel_at, out, disturbance, np.zeros((4, max(model.plan.port_joint.size, 1))))
+    corrections = [o.correction(model) for o in used]
+    late = np.zeros((len(used), max(c.late.size for c in corrections)))
+    for row, correction in zip(late, corrections, strict=True):
+        row[: correction.late.size] = correction.late
+    _predict(model.plan, fresh, starts[0], np.array([c.state for c in corrections]),
+             np.array([c.torque for c in corrections]), late, np.array([o.decay for o in used]),
+             SPAN / model.rig.angle_per_count, logs, np.ascontiguousarray(own), accel_at, out, disturbance,
+             np.zeros((4, max(model.plan.port_joint.size, 1))))
     return out
 
 

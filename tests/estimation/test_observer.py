@@ -28,7 +28,7 @@ def errors_left(rig: Rig, horizon: float, noise: float) -> np.ndarray:
     (observer,) = observers(rig, noise, (horizon,))
     model = build(rig, 0.1, 1e-3)
     wrong, right = (initial_state(model, angle, 0.0) for angle in (1e-3, 0.0))
-    gain, work = observer.modal(model), np.zeros((4, max(model.plan.port_joint.size, 1)))
+    gain, work = observer.correction(model).state, np.zeros((4, max(model.plan.port_joint.size, 1)))
     begin(model.plan, wrong)
     begin(model.plan, right)
     torque, found = 0.0, []
@@ -85,7 +85,7 @@ def test_another_mesh_is_corrected_by_the_same_shape(elements: int) -> None:
     (observer,) = observers(rig, 0.1, (0.05,))
     one, other = (build(r, 0.0, 1e-3) for r in (rig, rig.with_elements(elements)))
     seen = [[m.assembly.motor, m.assembly.base, m.assembly.root, m.assembly.tip] for m in (one, other)]
-    moved = [(m.form.basis @ observer.modal(m))[at] for m, at in zip((one, other), seen, strict=True)]
+    moved = [(m.form.basis @ observer.correction(m).state)[at] for m, at in zip((one, other), seen, strict=True)]
     assert moved[1] == pytest.approx(moved[0], rel=1e-6)
 
 
@@ -96,7 +96,7 @@ def test_a_rig_of_another_length_is_corrected_without_bending_it_more() -> None:
     short = rig.with_constants({"beam.length": 0.5 * rig.constants()["beam.length"]})
     tips, roots = [], []
     for model in (build(rig, 0.0, 1e-3), build(short, 0.0, 1e-3)):
-        moved = model.form.basis @ observer.modal(model)
+        moved = model.form.basis @ observer.correction(model).state
         tips.append(moved[model.assembly.tip])
         roots.append(moved[model.assembly.root])
     assert tips[1] == pytest.approx(0.5 * tips[0], rel=1e-6) and roots[1] == pytest.approx(roots[0], rel=1e-6)

@@ -77,6 +77,19 @@ def test_a_rig_in_other_units_predicts_the_same(rig: Rig, unit: str) -> None:
     np.testing.assert_allclose(found, plain, atol=1e-6)
 
 
+@pytest.mark.parametrize("late", [0.5, 2.0, 3.5])
+def test_a_late_encoder_and_a_late_command_predict_the_same(late: float) -> None:
+    """On an axis that only its encoder watches nothing tells the two apart, at any horizon."""
+    delays = {"encoder_delay": "encoder", "input_delay": "amplifier"}
+    other = AXIS.with_constants({"motor.gain": 1.2 * AXIS.motor.gain})
+    watched, run = observers(AXIS, 0.1), run_of(other, 60.0, "p2", "x")
+    models = [build(AXIS.with_effects([effect_class(name)(at=at, time=late * AXIS.period)]), 0.0, 1e-3)
+              for name, at in delays.items()]
+    (encoder, _), (command, _) = (predict(model, watched, log_of(run), begun(0.0)) for model in models)
+    assert np.abs(encoder[0, 0] - encoder[1, 0]).max() > 1.0
+    np.testing.assert_allclose(encoder[:, 0], command[:, 0], atol=1e-3)
+
+
 def test_of_a_run_that_begins_in_motion_the_state_is_found_before_anything_counts() -> None:
     rig = load_rig("sflr")
     whole = step_run(rows=1200)
