@@ -90,7 +90,10 @@ def code_hash() -> str:
 
 def causes(band: str, rig: RigDict) -> tuple[list[Cause], dict[str, str]]:
     """Every cause that can have a severity in the band, and why the others cannot."""
-    found: list[Cause] = [key for key in effect_names(rig) if band == "clear" or key != CLOCK]
+    names = effect_names(rig)
+    # Without a drive motor and base are one part, and a law that may stand at either is told at the motor.
+    twice = [] if rig.get("drive") else [(name, "base") for name, at in names if at == "motor"]
+    found: list[Cause] = [key for key in names if (band == "clear" or key != CLOCK) and key not in twice]
     never = {} if band == "clear" else {title(CLOCK): "not sized; counted with the clear ones"}
     for key in uncertain_keys(rig):
         name = f"parameter:{key}"

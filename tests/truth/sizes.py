@@ -32,8 +32,6 @@ def names(rig: RigDict) -> list[tuple[str, str]]:
     no = {(e["effect"], e["at"]) for e in rig.get("effects", ())}
     if rig.get("drive"):
         no.add(("load_friction", "motor"))
-    else:  # motor and base are one part
-        no |= {(name, "base") for name, at in CATALOGUE if at == "motor"}
     return [(name, at) for name, at in CATALOGUE if at not in missing and (name, at) not in no]
 
 
