@@ -21,7 +21,6 @@ import scipy.linalg
 from station.estimation.noise import QUANTISATION
 from station.model.assembly import torque_input
 from station.model.compiled import njit
-from station.model.effects import Stage
 from station.model.modal import apply, dense
 from station.model.simulate import Model, build
 from station.rig import Rig
@@ -62,8 +61,7 @@ class Observer:
         return _correction(self, model)
 
     def _on(self, model: Model) -> np.ndarray:
-        clock = math.prod(e.values()["ratio"] for e in model.rig.effects if e.stage is Stage.CLOCK)
-        half = self.state.reshape(2, -1) / np.array([[1.0], [clock]])
+        half = self.state.reshape(2, -1) / np.array([[1.0], [_period(model) / model.rig.period]])
         if model.rig.beam is None:
             return model.form.inverse @ half.ravel()
         at = half.shape[1] - 2 * self.elements
@@ -88,24 +86,36 @@ class Correction(NamedTuple):
 
 @functools.lru_cache(maxsize=64)
 def _correction(observer: Observer, model: Model) -> Correction:
-    plan, period, at_once = model.plan, model.plan.substeps * model.plan.h, observer._on(model)
+    plan, form, period, at_once = model.plan, model.form, _period(model), observer._on(model)
     if plan.encoder_delay == 0.0 or not at_once.any():
         return Correction(at_once, observer.torque, np.zeros(0))
-    rig, parts = model.rig, model.assembly
-    count = model.form.inverse @ (rig.motor.gain * torque_input(parts, parts.unit(parts.motor)))
+    delay, count = plan.encoder_delay, _per_count(model)
 
-    def after(time: float) -> np.ndarray:
-        """What the correction has become, its torque held over each period and decayed from one to the next."""
-        z, torque = at_once, observer.decay * observer.torque
-        for step in (*[period] * int(time / period), time % period):
-            z = apply(model.form.exponential(step), z) + torque * apply(model.form.integral(step), count)
-            torque *= observer.decay
-        return z
+    def carried(z: np.ndarray, torque: float, time: float) -> np.ndarray:
+        return apply(form.exponential(time), z) + torque * apply(form.integral(time), count)
 
-    delay = plan.encoder_delay
-    late = [float(plan.base_angle @ after((delay - k) * plan.h)) for k in range(int(delay) + 1)]
-    torque = observer.torque * observer.decay ** (delay / plan.substeps)
-    return Correction(after(delay * plan.h), torque, np.array(late))
+    begun = [(at_once, observer.decay * observer.torque)]     # what it has become when each period begins
+    for _ in range(int(delay / plan.substeps)):
+        z, torque = begun[-1]
+        begun.append((carried(z, torque, period), observer.decay * torque))
+
+    def after(steps: float) -> np.ndarray:
+        whole = int(steps / plan.substeps)
+        return carried(*begun[whole], (steps - whole * plan.substeps) * plan.h)
+
+    late = [float(plan.base_angle @ after(delay - k)) for k in range(int(delay) + 1)]
+    return Correction(after(delay), observer.torque * observer.decay ** (delay / plan.substeps), np.array(late))
+
+
+def _period(model: Model) -> float:
+    """True seconds between two samples, as the board's clock makes them."""
+    return model.plan.substeps * model.plan.h
+
+
+def _per_count(model: Model) -> np.ndarray:
+    """(2 b) rate of the modes per count of torque at the motor."""
+    parts = model.assembly
+    return model.form.inverse @ (model.rig.motor.gain * torque_input(parts, parts.unit(parts.motor)))
 
 
 def observers(rig: Rig, noise: float, horizons: Sequence[float] = HORIZONS) -> tuple[Observer, ...]:
@@ -150,8 +160,7 @@ def _observer(linear: str, variance: float, horizon: float) -> Observer:
     if math.isinf(horizon):
         return Observer(horizon, np.zeros(2 * model.assembly.size), 0.0, 0.0, elements)
     size, decay = 2 * form.blocks, math.exp(-period / horizon)
-    count = form.inverse @ (rig.motor.gain * torque_input(model.assembly, model.assembly.unit(model.assembly.motor)))
-    held = dense(form.integral(period)) @ count
+    held = dense(form.integral(period)) @ _per_count(model)
     f = np.zeros((size + 1, size + 1))
     f[:size, :size], f[:size, size], f[size, size] = dense(form.exponential(period)), held * decay, decay
     h = np.append(model.plan.base_angle * model.plan.counts_per_radian, 0.0)
