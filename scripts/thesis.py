@@ -34,13 +34,13 @@ sys.path.insert(0, str(ROOT))
 from scripts import thesis_model  # noqa: E402
 from scripts.plant_figures import ROOTS, pinned_free  # noqa: E402
 from station import api  # noqa: E402
-from station.diagnose.measures import overshoot, settling_time  # noqa: E402
 from station.model.frequency import FrequencyResponse, finite_element_response, measured_response  # noqa: E402
 from station.model.linear import state_space  # noqa: E402
 from station.model.lumped import run_chain  # noqa: E402
 from station.model.simulate import build, simulate_model  # noqa: E402
 from station.rig import Rig, load_rig  # noqa: E402
 from station.runs.run import Run  # noqa: E402
+from station.runs.step_response import overshoot, settling_time  # noqa: E402
 from station.runs.store import load_run  # noqa: E402
 
 LOGS = {"pulse": "OL_pulse", "p": "SFLR_P_control", "lead": "step_response_Gth_comp_no_accel",

@@ -34,7 +34,7 @@ from station.diagnose.result import (
     Wrong,
 )
 from station.diagnose.selection import EFFORTS, Selection, fitted, select
-from station.diagnose.thresholds import FEW, NOISE, VARIES
+from station.diagnose.thresholds import FEW, NOISE, OUTSIDE, VARIES
 from station.diagnose.validation import (
     contradicted,
     gain,
@@ -155,6 +155,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     diagnosis = Diagnosis(
         verdict=decision, wrong=_wrong(runs, before, data.noise), causes=causes, gain=bought,
         next_experiment=with_word(None if decided else choice.next, decision, told, said.causes, known),
+        outside=0.0 if left.is_noise else OUTSIDE,
         disturbance=_disturbance(predictor, [data.rig, refit_rig, extended]), between_runs=between, rig=rig.name,
         effort=effort,
         runs=[RunFile(run=run.name) for run in given],

@@ -3,41 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from station.estimation.noise import QUANTISATION
 from station.model.simulate import Simulation
+from station.runs.quality import between_repeats
 from station.runs.run import Run
-
-
-def step_row(reference: np.ndarray) -> int | None:
-    """Row of a run's one step, None where the reference is not one step."""
-    rows = np.flatnonzero(np.diff(reference))
-    return int(rows[0]) + 1 if rows.size == 1 else None
-
-
-def overshoot(reference: np.ndarray, encoder: np.ndarray) -> float | None:
-    """100 (max theta - r)/(r - r before the step), percent; for a step down with the smallest theta."""
-    row = step_row(reference)
-    if row is None:
-        return None
-    before, after = reference[row - 1], reference[row]
-    peak = np.max(encoder) if after > before else np.min(encoder)
-    return float(100.0 * (peak - after) / (after - before)) + 0.0     # never a negative zero
-
-
-def settling_time(reference: np.ndarray, encoder: np.ndarray, t: np.ndarray) -> float | None:
-    """Last time outside +-2 % of the step, s from the step; None where the run ends outside."""
-    row = step_row(reference)
-    if row is None:
-        return None
-    size = abs(reference[row] - reference[row - 1])
-    outside = np.flatnonzero(np.abs(encoder[row:] - reference[row]) > 0.02 * size)
-    if outside.size == 0:
-        return 0.0
-    last = row + int(outside[-1])
-    return None if last == len(t) - 1 else float(t[last] - t[row])
+from station.runs.step_response import overshoot, rise_time, settling_time, step_row
 
 
 def nrmse(measured: np.ndarray, simulated: np.ndarray) -> float:
@@ -58,6 +32,46 @@ def step_measures(run: Run, encoder: np.ndarray) -> dict[str, float | None]:
         return {}
     return {"overshoot_percent": overshoot(run.reference, encoder),
             "settling_time": settling_time(run.reference, encoder, run.t)}
+
+
+def step_figures(run: Run, encoder: np.ndarray) -> dict[str, float | None]:
+    """The same with the rise from 10 to 90 %."""
+    found = step_measures(run, encoder)
+    return {**found, "rise_time": rise_time(run.reference, encoder, run.t)} if found else {}
+
+
+def repeats(runs: Sequence[Run]) -> list[dict[str, float]]:
+    """Per run and channel, where other runs repeat its test: the standard deviation between them as a share of the
+    run's signal, in the measure of an nrmse; what a simulation that knows all but chance would leave.
+
+    Repeats have one controller, which is known, and one reference, or in an open loop one command, over the rows that
+    both have, at least half of the longer.  The encoder counts from where a run began, the accelerometer from its mean.
+    """
+    alike = [[other for other in runs if _same_test(run, other)] for run in runs]
+    found: list[dict[str, float]] = [{} for _ in runs]
+    for k, (run, those) in enumerate(zip(runs, alike, strict=True)):
+        rows = min(len(one.t) for one in those)
+        for channel in ("encoder", "accel"):
+            readings = [getattr(one, channel) for one in those]
+            if len(those) < 2 or any(column is None for column in readings):
+                continue
+            cut = [column[:rows] - (column[0] if channel == "encoder" else column[:rows].mean()) for column in readings]
+            size = float(np.std(getattr(run, channel)[:rows]))
+            if size > 0.0:
+                found[k][channel] = between_repeats(cut) / size
+    return found
+
+
+def _same_test(one: Run, other: Run) -> bool:
+    rows, longest = sorted((len(one.t), len(other.t)))
+    if one is other:
+        return True
+    if 2 * rows < longest or one.metadata.controller != other.metadata.controller:
+        return False
+    if one.open_loop:
+        return bool(np.array_equal(one.command[:rows], other.command[:rows]))
+    known = one.metadata.controller.get("kind") != "unknown"
+    return known and bool(np.array_equal(one.reference[:rows], other.reference[:rows]))
 
 
 def measures(run: Run, simulation: Simulation) -> dict[str, object]:

@@ -64,12 +64,16 @@ class Odds:
         return sum(map(holds, self.resampled)) / len(self.resampled)
 
     def replacements(self, best: Causes, cause: Key) -> dict[Key, float]:
-        """For each cause outside the best set: the probability of sets that hold it instead of ``cause``."""
+        """For each cause outside the best set: the probability of sets that hold it instead of ``cause``.
+
+        In a set that holds the same law at another place that place is what stands instead, and nothing beside it.
+        """
         found: dict[Key, float] = {}
         for keys, probability in self.sets:
             if cause in keys:
                 continue
-            for key in keys - best:
+            new = keys - best
+            for key in {key for key in new if key[0] == cause[0]} or new:
                 found[key] = found.get(key, 0.0) + probability
         return found
 

@@ -88,7 +88,9 @@ class RunGain(_Table):
     measured: dict[str, float | None] = Field(default_factory=dict)
     before: dict[str, float | None] = Field(default_factory=dict)
     after: dict[str, float | None] = Field(default_factory=dict)
-    """Step measures."""
+    """Overshoot, rise and settling of a step."""
+    repeats: dict[str, float] = Field(default_factory=dict)
+    """Per channel, where other runs repeat this test: by how much they differ, in the measure of an nrmse."""
 
 
 class Gain(_Table):
@@ -163,6 +165,8 @@ class Diagnosis(_Table):
     causes: list[Cause] = Field(default_factory=list)
     gain: Gain
     next_experiment: NextExperiment | None = None
+    outside: float = 0.0
+    """Probability kept for something that no effect describes: more than noise is left where it is not 0."""
     disturbance: Disturbance | None = None
     between_runs: BetweenRuns | None = None
     ranking: list[Ranked] = Field(default_factory=list)

@@ -8,7 +8,7 @@ from contextlib import suppress
 
 import numpy as np
 
-from station.diagnose.measures import floor, nrmse, step_measures
+from station.diagnose.measures import floor, nrmse, repeats, step_figures
 from station.diagnose.result import ChannelGain, Gain, RunGain
 from station.diagnose.thresholds import UNSEEN
 from station.estimation.dataset import Dataset
@@ -241,8 +241,10 @@ def gain(data: Dataset, names: Sequence[str], before: Sequence[Simulation], afte
                                          nrmse_after=float(np.sqrt(error["after"] / spread)))
         if counted:
             fractions.append(explained / explainable)
+    between = repeats(data.runs)
     for r, (run, old, new) in enumerate(zip(data.runs, before, after, strict=True)):
-        runs[r].measured, runs[r].before, runs[r].after = (step_measures(run, s.encoder) for s in (run, old, new))
+        runs[r].repeats = between[r]
+        runs[r].measured, runs[r].before, runs[r].after = (step_figures(run, s.encoder) for s in (run, old, new))
         if ahead is not None:
             runs[r].ahead = {k: ChannelGain(nrmse_before=ahead[0][r][k], nrmse_after=ahead[1][r][k])
                              for k in ahead[0][r] if np.isfinite([ahead[0][r][k], ahead[1][r][k]]).all()}

@@ -9,11 +9,10 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from station.runs.run import Run
+from station.runs.step_response import overshoot, rise_time, settling_time
 
 FINAL_SECONDS = 0.1
 """The final error is the mean over so long, at the end of a run."""
-SETTLED = 0.02
-"""Of the step: inside it for good, a step has settled."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +35,6 @@ class Quality:
         return asdict(self)
 
 
-def _step_row(reference: np.ndarray) -> int | None:
-    rows = np.flatnonzero(np.diff(reference))
-    return int(rows[0]) + 1 if rows.size == 1 else None
-
-
 def quality(run: Run, limit: float) -> Quality:
     """The figures of a run under a command limit (counts)."""
     saturated = float(np.mean(np.abs(run.command) >= limit - 0.5))
@@ -48,31 +42,8 @@ def quality(run: Run, limit: float) -> Quality:
         return Quality(None, None, None, None, saturated)
     last = max(round(FINAL_SECONDS * run.sample_rate), 1)
     final = float(np.mean(run.reference[-last:] - run.encoder[-last:]))
-    row = _step_row(run.reference)
-    if row is None:
-        return Quality(None, None, None, final, saturated)
-    before, after = float(run.reference[row - 1]), float(run.reference[row])
-    way = (run.encoder - before) / (after - before)  # 0 before the step, 1 where it is to end
-    t = run.t - run.t[row]
-    outside = np.flatnonzero(np.abs(way[row:] - 1.0) > SETTLED)
-    settled = 0.0 if not outside.size else None if outside[-1] == len(way) - row - 1 else float(t[row + outside[-1]])
-    return Quality(float(100.0 * (np.max(way) - 1.0)) + 0.0, _rise(way[row:], t[row:]), settled, final, saturated)
-
-
-def _rise(way: np.ndarray, t: np.ndarray) -> float | None:
-    """Seconds from 10 % to 90 %, between rows on straight lines; None where 90 % is not reached."""
-    times = []
-    for share in (0.1, 0.9):
-        above = np.flatnonzero(way >= share)
-        if not above.size:
-            return None
-        row = int(above[0])
-        if row == 0:
-            times.append(float(t[0]))
-            continue
-        low, high = float(way[row - 1]), float(way[row])
-        times.append(float(t[row - 1] + (share - low) / (high - low) * (t[row] - t[row - 1])))
-    return times[1] - times[0]
+    judged = run.reference, run.encoder
+    return Quality(overshoot(*judged), rise_time(*judged, run.t), settling_time(*judged, run.t), final, saturated)
 
 
 @dataclass(frozen=True)
@@ -93,8 +64,13 @@ class Scatter:
         return cls(float(np.mean(there)), sigma, len(there))
 
 
+def between_repeats(columns: Sequence[np.ndarray]) -> float:
+    """Root mean square over the rows (n) of the standard deviation between m >= 2 repeats' readings (n each)."""
+    return math.sqrt(float(np.mean(np.var(np.stack(columns), axis=0, ddof=1))))
+
+
 def repeatability(runs: Sequence[Run], channel: str = "encoder") -> float | None:
-    """Root mean square over the rows of the standard deviation between repeats of one test, counts.
+    """``between_repeats`` of one test's runs, counts.
 
     The encoder is taken from where each run began.  None for fewer than two runs, runs of unequal length, or without
     the channel.
@@ -102,5 +78,4 @@ def repeatability(runs: Sequence[Run], channel: str = "encoder") -> float | None
     columns = [run.columns().get(channel) for run in runs]
     if len(columns) < 2 or any(column is None or len(column) != len(columns[0]) for column in columns):
         return None
-    stacked = np.stack([column - column[0] if channel == "encoder" else column for column in columns])
-    return math.sqrt(float(np.mean(np.var(stacked, axis=0, ddof=1))))
+    return between_repeats([column - column[0] if channel == "encoder" else column for column in columns])

@@ -57,6 +57,8 @@ class GainRow:
     before: float | None
     refit: float | None
     after: float | None
+    repeats: float | None
+    """By how much repeats of its test differ, in the same measure."""
 
 
 @dataclass(frozen=True)
@@ -249,11 +251,18 @@ class _Page:
 
     @property
     def gain_rows(self) -> list[GainRow]:
-        rows = []
+        rows, repeats = [], {row.run: row.repeats for row in self.diagnosis.gain.runs}
         for number, c in enumerate(self.result.comparisons, start=1):
             for channel in figures.channels(c):
-                rows.append(GainRow(number, c.run.name, wording.CHANNELS[channel], c.held_out, *c.errors(channel)))
+                before, refit, after = c.errors(channel)
+                rows.append(GainRow(number, c.run.name, wording.CHANNELS[channel], c.held_out, before, refit, after,
+                                    repeats.get(c.run.name, {}).get(channel)))
         return rows
+
+    @property
+    def any_repeats(self) -> bool:
+        """Whether any run's test was done again."""
+        return any(row.repeats is not None for row in self.gain_rows)
 
     @property
     def gain_scale(self) -> float:

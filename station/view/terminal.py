@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from rich import box
 from rich.console import Console
@@ -34,9 +34,9 @@ def print_diagnosis(result: DiagnosisResult, console: Console, rig: str = "RIG")
         console.print(_table("Causes", ["cause", "probability", "named in", "parameter",
                                         "value (95 % interval)"], rows))
         for cause in found.causes:
-            if rest := wording.rest_sentence(cause, found.verdict):
+            if rest := wording.rest_sentence(cause, found.outside):
                 console.print(_plain(f"{wording.cause_title(cause.effect, cause.at)}: {rest}"))
-        if kept := wording.outside_sentence(found.verdict):
+        if kept := wording.outside_sentence(found.outside):
             console.print(_plain(kept))
     for sentence in result.equivalences:
         console.print(_plain(f"{sentence} No test can tell them apart."))
@@ -47,7 +47,7 @@ def print_diagnosis(result: DiagnosisResult, console: Console, rig: str = "RIG")
              wording.percent(c.held_out_gain), wording.why_lost(c, result.ranking[0], (c.effect, c.at) in named))
             for c in result.ranking[:RANKED]]))
     if result.comparisons:
-        print_comparison(result.comparisons, console)
+        print_comparison(result.comparisons, console, {row.run: row.repeats for row in found.gain.runs})
     _print_ahead(found, console)
     for told in filter(None, (wording.disturbance(found), wording.between_runs(found))):
         console.print(_plain(told))
@@ -58,16 +58,21 @@ def print_diagnosis(result: DiagnosisResult, console: Console, rig: str = "RIG")
             console.print(_plain(line), soft_wrap=True)
 
 
-def print_comparison(comparisons: Sequence[RunComparison], console: Console) -> None:
-    """The error (nrmse) of each run and channel: as the rig file says, re-fitted, and with the causes."""
+def print_comparison(comparisons: Sequence[RunComparison], console: Console,
+                     repeats: Mapping[str, Mapping[str, float]]) -> None:
+    """The error (nrmse) of each run and channel: as the rig file says, re-fitted, and with the causes; beside it by
+    how much ``repeats`` (run, channel) of its test differ, where there are any."""
     rows = []
+    extra = ["between repeats"] if any(repeats.values()) else []
     for c in comparisons:
         for channel, words in wording.CHANNELS.items():
             if getattr(c.run, channel) is None or getattr(c.before, channel) is None:
                 continue
             errors = [wording.percent(error) for error in c.errors(channel)]
-            rows.append((c.run.name, words, *errors, "held out" if c.held_out else "in the fit"))
-    console.print(_table("Error, share of the signal", ["run", "channel", "before", "re-fitted", "after", ""], rows))
+            between = [wording.percent(repeats.get(c.run.name, {}).get(channel)) for _ in extra]
+            rows.append((c.run.name, words, *errors, *between, "held out" if c.held_out else "in the fit"))
+    console.print(_table("Error, share of the signal",
+                         ["run", "channel", "before", "re-fitted", "after", *extra, ""], rows))
     if any(wording.is_predicted(c.run) for c in comparisons):
         console.print(f"Runs whose controller is unknown are predicted {UNKNOWN_AHEAD:g} s ahead; the others are "
                       "simulated as a whole.")
@@ -86,7 +91,7 @@ def _print_ahead(found: Diagnosis, console: Console) -> None:
         cells = ["–" if g is None else wording.percent(g.nrmse_before)
                  + (f" → {wording.percent(g.nrmse_after)}" if found.causes else "") for g in gains]
         rows.append((row.run, *cells, *(wording.step_words(m) for m in (row.measured, row.before, row.after) if steps)))
-    console.print(_table("Angle predicted ahead" + ("; overshoot and settling time" if steps else ""),
+    console.print(_table("Angle predicted ahead" + ("; overshoot, rise and settling time" if steps else ""),
                          columns + (["measured", "before", "after"] if steps else []), rows))
 
 

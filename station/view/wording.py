@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from station.control.named import named_controller
 from station.control.references import KINDS, defaults
-from station.diagnose.thresholds import OUTSIDE
 from station.model.effects import catalogue
 
 if TYPE_CHECKING:
@@ -38,6 +37,8 @@ LIKE_NOISE = 1.1
 """Times the standard deviation of a reading up to which a residual is no larger than noise: a tenth more."""
 
 _PREFIX = "parameter:"
+_LATENCY = {"input_delay", "encoder_delay"}
+"""Delays of which a loop shows the sum."""
 _INSIDE = {"drive", "clamp", "accelerometer", "encoder", "clock", "amplifier"}
 # measure: (words, factor, unit)
 _MEASURES = {"overshoot_percent": ("overshoot", 1.0, " %"), "settling_time": ("settling time", 1.0, " s"),
@@ -128,9 +129,12 @@ def cause_title(effect: str, at: str) -> str:
         return _NO_CAUSE[effect]
     known = catalogue().get(effect)
     title = known.title if known is not None and known.title else effect.replace("_", " ")
-    if not at or at in title:
-        return title
-    return f"{title} {'in' if at in _INSIDE else 'at'} the {at}"
+    return title if not at or at in title else f"{title} {place(at)}"
+
+
+def place(at: str) -> str:
+    """``at the motor``, ``in the drive``."""
+    return f"{'in' if at in _INSIDE else 'at'} the {at}"
 
 
 def titles(causes: Sequence[Cause | Rival | RankedCause], last: str = "and") -> str:
@@ -139,32 +143,33 @@ def titles(causes: Sequence[Cause | Rival | RankedCause], last: str = "and") -> 
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
 
 
-def rest_sentence(cause: Cause, verdict: str) -> str:
-    """Where the probability lies that a cause does not hold; empty where hardly any is left.
+def rest_sentence(cause: Cause, outside: float) -> str:
+    """Where the probability lies that a cause does not hold (``outside``: what is kept for none that is known), and
+    where else a law may act that may act at several places; empty where hardly anything is left.
 
     Rivals may stand beside each other in one set, so that theirs may add up to more.
     """
-    rest = 1.0 - cause.probability - _outside(verdict)
-    if rest < 0.005:
-        return ""
-    words = f"The other {probability(rest)}: sets of causes without it"
-    rivals = [f"{cause_title(r.effect, r.at)} ({probability(r.probability)})" for r in cause.rivals]
-    if not rivals:
-        return f"{words}, none of them with a likely cause in its place."
-    left = rest - sum(r.probability for r in cause.rivals)
-    beside = f"; {probability(left)} with none of these" if left > 0.005 else ""
-    return f"{words}, among them with {', '.join(rivals)}{beside}."
+    places = [r for r in cause.rivals if r.effect == cause.effect]
+    instead = [r for r in cause.rivals if r.effect != cause.effect]
+    words = []
+    if places:
+        words.append(f"Instead of {place(cause.at)} it may act "
+                     f"{' or '.join(f'{place(r.at)} ({probability(r.probability)})' for r in places)}.")
+    rest = 1.0 - cause.probability - outside
+    if rest >= 0.005:
+        among = [f"{cause_title(r.effect, r.at)} ({probability(r.probability)})" for r in instead]
+        left = rest - sum(r.probability for r in instead)
+        beside = f"; {probability(left)} with none of these" if left > 0.005 else ""
+        words.append(f"The other {probability(rest)}: sets of causes without it, "
+                     + (f"among them with {', '.join(among)}{beside}." if among else
+                        "none of them with a likely cause in its place."))
+    return " ".join(words)
 
 
-def outside_sentence(verdict: str) -> str:
+def outside_sentence(outside: float) -> str:
     """What is kept for causes that no effect describes; empty where only noise is left."""
-    kept = _outside(verdict)
-    return (f"More than noise is left, so {probability(kept)} is kept for something that acts like these causes and is "
-            "none that is known here.") if kept else ""
-
-
-def _outside(verdict: str) -> float:
-    return OUTSIDE if verdict == "partly_explained" else 0.0
+    return (f"More than noise is left, so {probability(outside)} is kept for something that acts like these causes and "
+            "is none that is known here.") if outside else ""
 
 
 def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
@@ -185,6 +190,10 @@ def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
         if len(rivals) == 1:
             return f"The simulation gets something wrong{certain}; {titles(rivals)} would explain it, " \
                    "but these runs cannot settle it."
+        if {one.effect for one in rivals} == _LATENCY:
+            late = interval(first.parameters["time"])
+            return f"The loop's total latency is longer than simulated by {late}{certain}, and these runs cannot tell " \
+                   f"whether it is {titles(rivals, 'or')}."
         return f"The simulation gets something wrong{certain}, but these runs cannot tell whether it is " \
                f"{titles(rivals, 'or')}."
     return {"unexplained": "The simulation gets something wrong, and no cause known here is named by most resamples "
@@ -314,7 +323,7 @@ def gone(diagnosis: Diagnosis) -> str:
 
 def leaves_noise(diagnosis: Diagnosis) -> bool:
     """Whether the verdict says that what is left, over whole runs, is noise and stated uncertainty."""
-    return diagnosis.verdict not in ("partly_explained", "unexplained")
+    return diagnosis.outside == 0.0
 
 
 def residual_words(scatter: float, noise: float, white: bool, followed: int) -> str:
@@ -360,11 +369,12 @@ def is_predicted(run: Run) -> bool:
 
 
 def step_words(measures: dict[str, float | None]) -> str:
-    """Overshoot and settling time of a step test, a dash for other tests."""
+    """Overshoot, rise and settling time of a step test, a dash for other tests."""
     if not measures:
         return "–"
-    settling, over = measures.get("settling_time"), measures.get("overshoot_percent")
-    return f"{number(over)} %, " + ("not settled" if settling is None else f"{number(settling)} s")
+    over, rise, settling = (measures.get(key) for key in ("overshoot_percent", "rise_time", "settling_time"))
+    return ", ".join([f"{number(over)} %", "not risen" if rise is None else f"{number(rise)} s",
+                      "not settled" if settling is None else f"{number(settling)} s"])
 
 
 def disturbance(diagnosis: Diagnosis) -> str:

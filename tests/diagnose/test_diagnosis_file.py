@@ -8,12 +8,13 @@ import pytest
 from pydantic import ValidationError
 
 from station.diagnose.diagnose import diagnose
-from station.diagnose.measures import floor, nrmse, overshoot
+from station.diagnose.measures import floor, nrmse
 from station.diagnose.result import Cause, Diagnosis, DiagnosisResult, Estimate, Gain, Rival
 from station.errors import StationError, UsageError, WorkError
 from station.estimation.noise import noise_sigmas
 from station.rig import Rig, load_rig
 from station.runs.run import Run, RunMetadata
+from station.runs.step_response import overshoot
 from tests.truth import CONTROLLERS, RIGID_AXIS, SFLR, Conditions, pulse_test, simulate_case, step_test
 
 RATE = 500.0
@@ -53,6 +54,7 @@ MADE = {
     "nothing moves": (SFLR_RIG, lambda: made(SFLR, [], [step_test(RATE, "p2", 0.0, 0.8) for _ in range(2)])),
     "one rests": (AXIS, lambda: made(RIGID_AXIS, [], [step_test(RATE, "p2", 0.0, 0.8), *TESTS[:2]])),
     "gain": (AXIS, lambda: made(STRONG_MOTOR, [])),
+    "repeats": (SFLR_RIG, lambda: made(SFLR, [], [TESTS[0], TESTS[1], TESTS[0], TESTS[0]])),
     "either delay": (AXIS, lambda: made(RIGID_AXIS, [effect("input_delay", "amplifier", time=0.007)])),
 }
 """The rig that a diagnosis is given, and its runs."""
@@ -84,7 +86,7 @@ def test_the_file_has_the_contracts_keys(diagnoses, name):
     runs, result = diagnoses(name)
     said = strict(result.diagnosis.to_json())
     assert set(said) == {"schema", "verdict", "wrong", "causes", "gain", "next_experiment", "disturbance",
-                         "between_runs", "ranking", "rig", "runs", "effort", "version"}
+                         "between_runs", "outside", "ranking", "rig", "runs", "effort", "version"}
     assert said["schema"] == "station-diagnosis/1" and said["verdict"] in VERDICTS
     names = {run.name for run in runs}
     for row in said["wrong"]:
@@ -214,6 +216,17 @@ def test_what_no_law_describes_is_not_explained(diagnoses, name):
 
 def test_runs_in_which_nothing_moves_are_not_enough(diagnoses):
     assert diagnoses("nothing moves")[1].diagnosis.verdict == "not_enough_data"
+
+
+def test_a_right_simulation_errs_by_what_repeats_differ_by(diagnoses):
+    _, result = diagnoses("repeats")
+    gained = result.diagnosis.gain.runs
+    both = {"encoder", "accel"}
+    assert [set(row.repeats) for row in gained] == [both, set(), both, both]
+    for row in gained:
+        if row.repeats:
+            assert 0.9 < row.accel.nrmse_after / row.repeats["accel"] < 1.1
+            assert set(row.measured) == {"overshoot_percent", "rise_time", "settling_time"}
 
 
 def test_a_run_that_rests_has_no_error_in_units_of_its_motion(diagnoses):

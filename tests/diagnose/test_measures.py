@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from station.diagnose.measures import floor, measures, nrmse, overshoot, settling_time, step_measures, step_row
+from station.diagnose.measures import floor, measures, nrmse, repeats, step_figures, step_measures
 from station.diagnose.result import RunComparison
 from station.model.simulate import Simulation
 from station.runs.run import Run, RunMetadata
+from station.runs.step_response import overshoot, settling_time, step_row
 
 T = np.arange(10) * 0.01
 STEP = np.array([0, 0, 50, 50, 50, 50, 50, 50, 50, 50], dtype=float)
@@ -76,6 +77,41 @@ def test_an_open_loop_step_has_no_step_measures():
     assert step_measures(made(STEP, ANSWER, OPEN), ANSWER) == {}
     assert step_measures(made(STEP, ANSWER), ANSWER) == {"overshoot_percent": pytest.approx(20.0),
                                                          "settling_time": pytest.approx(0.05)}
+
+
+def test_a_diagnosis_tells_the_rise_of_a_step_beside_the_contracts_measures():
+    # 10 % (5) lies a sixth of the way from row 2 (0) to row 3 (30), 90 % (45) half way from there to row 4 (60).
+    found = step_figures(made(STEP, ANSWER), ANSWER)
+    assert found == {**step_measures(made(STEP, ANSWER), ANSWER), "rise_time": pytest.approx(0.01 * (1.5 - 1.0 / 6.0))}
+    assert step_figures(made(STEP, ANSWER, OPEN), ANSWER) == {}
+
+
+def test_repeats_say_what_a_simulation_that_knows_all_but_chance_would_leave():
+    """Four runs of one motion, each with its own noise: the true motion's nrmse is what they differ by."""
+    rng, rows = np.random.default_rng(5), 4000
+    reference, true = np.where(np.arange(rows) < 100, 0.0, 50.0), 40.0 * np.sin(np.linspace(0.0, 60.0, rows))
+    noise = rng.normal(0.0, 1.5, (4, rows))
+    noise[:, 0] = 0.0           # each counts from where it begins
+    runs = [made(reference, true + e + 7.0 * k, accel=3.0 * true + 2.0 * e + k) for k, e in enumerate(noise)]
+    unknown = {"kind": "unknown"}
+    other = [made(reference, true, {"kind": "p", "gain": 1.0}), made(-reference, true),
+             made(reference, true, unknown), made(reference, true, unknown), made(reference[:1500], true[:1500])]
+    found = repeats([*runs, *other])
+    wanted = nrmse(true + noise[0], true)
+    assert [f["encoder"] for f in found[:4]] == pytest.approx([wanted] * 4, rel=0.03)
+    assert [f["accel"] for f in found[:4]] == pytest.approx([2.0 / 3.0 * wanted] * 4, rel=0.03)
+    assert found[4:] == [{}] * 5, "another gain, reference or an unknown controller, or less than half of the test"
+
+
+def test_open_loop_runs_repeat_where_their_commands_do():
+    pulse, motion = np.array([0.0, 9.0, 9.0, 0.0, 0.0]), np.array([0.0, 1.0, 4.0, 8.0, 9.0])
+    runs = [Run(name, np.arange(5) * 0.01, np.zeros(5), command, motion + 0.5 * moved * (np.arange(5) > 1),
+                metadata=RunMetadata(controller=OPEN))
+            for name, command, moved in (("a", pulse, 0), ("b", pulse, 1), ("c", -pulse, 0))]
+    found = repeats(runs)
+    apart = math.sqrt(0.6 * 0.5 * 0.5**2)       # variance of two readings: half their difference's square
+    assert found[0] == {"encoder": pytest.approx(apart / np.std(motion))} and set(found[1]) == {"encoder"}
+    assert found[2] == {}
 
 
 def test_nrmse_is_the_error_over_the_spread_about_the_mean():

@@ -150,6 +150,14 @@ def test_a_law_whose_place_cannot_be_told_is_stated_by_itself_at_the_first_of_it
     assert found.replacements(found.sets[0][0], FRICTION) == {("coulomb_friction", "base"): pytest.approx(0.55)}
 
 
+def test_what_stands_beside_a_law_at_another_place_does_not_stand_in_its_place() -> None:
+    at_base = ("coulomb_friction", "base")
+    found = normalised({frozenset({FRICTION}): math.log(0.5), frozenset({at_base, DEAD_ZONE}): math.log(0.3),
+                        frozenset({DEAD_ZONE}): math.log(0.2)}, {})
+    assert found.replacements(frozenset({FRICTION}), FRICTION) == {at_base: pytest.approx(0.3),
+                                                                   DEAD_ZONE: pytest.approx(0.2)}
+
+
 def test_a_place_that_is_told_stands_and_what_has_but_one_place_is_left_alone() -> None:
     found = by_law(torn(0.2, 0.75, 0.05))
     assert found.sets[0][0] == frozenset({("coulomb_friction", "base"), GAIN})

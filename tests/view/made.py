@@ -26,6 +26,7 @@ from station.diagnose.result import (
     RunGain,
     Wrong,
 )
+from station.diagnose.thresholds import OUTSIDE
 from station.model.effects import effect_class
 from station.model.simulate import Simulation
 from station.pictures.evidence import Evidence
@@ -97,6 +98,9 @@ def gain_of(made: tuple[RunComparison, ...], channel: str) -> ChannelGain:
     return ChannelGain(nrmse_before=mean("before"), nrmse_after=mean("after"))
 
 
+STEPS = {"measured": (24.0, 0.071, 1.15), "before": (38.0, 0.066, None), "after": (22.0, 0.07, 1.12)}
+
+
 def friction_evidence() -> Evidence:
     """A cloud of torque residuals against velocity and the law through it."""
     rng = np.random.default_rng(3)
@@ -151,13 +155,13 @@ def result(verdict: str = "explained", rig: Rig | None = None, runs: int = 5) ->
              Wrong(run="sweep-kp1", channel="accel", measure="nrmse", simulated=0.31, measured=None,
                    where="near 3 Hz, slow parts")]
     diagnosis = Diagnosis(
-        verdict=verdict, causes=causes, wrong=wrong if verdict != "nothing_missing" else [],
+        verdict=verdict, outside=OUTSIDE if verdict in ("partly_explained", "unexplained") else 0.0, causes=causes,
+        wrong=wrong if verdict != "nothing_missing" else [],
         gain=Gain(held_out=[c.run.name for c in made if c.held_out], encoder=encoder, accel=accel,
                   explained_fraction=0.93 if named else None, runs=[RunGain(
                       run=c.run.name, ahead={"0.1 s": ChannelGain(nrmse_before=0.04, nrmse_after=0.011)},
-                      measured={"overshoot_percent": 24.0, "settling_time": 1.15} if "step" in c.run.name else {},
-                      before={"overshoot_percent": 38.0, "settling_time": None} if "step" in c.run.name else {},
-                      after={"overshoot_percent": 22.0, "settling_time": 1.12} if "step" in c.run.name else {})
+                      **{name: dict(zip(("overshoot_percent", "rise_time", "settling_time"), figures, strict=True))
+                         for name, figures in STEPS.items() if "step" in c.run.name})
                       for c in made]),
         runs=[RunFile(run=c.run.name, file_sha256=f"{k:064x}") for k, c in enumerate(made)], effort="full",
         disturbance=Disturbance(nominal=0.31, refitted=0.22, extended=0.04),

@@ -58,16 +58,20 @@ def results(draw: st.DrawFn) -> DiagnosisResult:
     """Diagnoses as their rules allow them: which causes are stated, by what share, and what follows, is drawn."""
     verdict = draw(st.sampled_from(sorted(wording.VERDICTS)))
     base = made.result(verdict, runs=1)
+    outside = draw(st.sampled_from([0.0, OUTSIDE])) if verdict == "ambiguous" else base.diagnosis.outside
     named = verdict in ("explained", "partly_explained", "ambiguous")
     causes = []
     for effect, at in draw(st.lists(st.sampled_from(CAUSES), min_size=1, max_size=3, unique=True)) if named else []:
         stability = draw(shares if verdict == "ambiguous" else st.floats(STABLE, 1.0))
         probability, rival = draw(shares), draw(st.booleans())
         state = draw(st.sampled_from(["determined", "at_bound", "traded_off", "not_excited"]))
+        elsewhere = [Rival(effect=effect, at="base", probability=0.3 * probability)] * (
+            at == "motor" and draw(st.booleans()))
         causes.append(Cause(
             effect=effect, at=at, probability=probability, stability=stability,
             parameters={"torque" if at else "value": Estimate(value=0.03, low=0.02, high=0.04, unit="", state=state)},
-            rivals=[Rival(effect="quadratic_drag", at="base", probability=0.5 * (1.0 - probability))] if rival else []))
+            rivals=[*[Rival(effect="quadratic_drag", at="base", probability=0.5 * (1.0 - probability))] * rival,
+                    *elsewhere]))
     tests = [NextExperiment(test={"kind": "pulse", "amplitude": 25}, why="they differ by 31 counts"),
              NextExperiment(test=None, why="no test here parts them"), None]
     wanted = draw(st.sampled_from(tests[-1:] if verdict in ("explained", "nothing_missing") else tests))
@@ -81,9 +85,9 @@ def results(draw: st.DrawFn) -> DiagnosisResult:
                 RankedCause("torque_ripple", "motor", 0.01, 101.0, None, {}, draw(st.sampled_from(
                     ["", "by an equivalence", "as part of coulomb_friction@motor + torque_ripple@motor"])))]
     missing = draw(st.sampled_from([None, Disturbance(nominal=0.3, refitted=0.2, extended=0.1)]))
-    notes = ["step-kp2: encoder is left with more than noise over the whole run"] * (not wording.leaves_noise(
-        base.diagnosis))
-    diagnosis = base.diagnosis.model_copy(update={"causes": causes, "next_experiment": wanted, "gain": gain,
+    notes = ["step-kp2: encoder is left with more than noise over the whole run"] * bool(outside)
+    diagnosis = base.diagnosis.model_copy(update={"causes": causes, "outside": outside, "gain": gain,
+                                                  "next_experiment": wanted,
                                                   "disturbance": missing})
     comparisons = base.comparisons if draw(st.booleans()) else []
     return replace(base, diagnosis=diagnosis, ranking=ranking, notes=notes, comparisons=comparisons, draw=list)
@@ -110,7 +114,7 @@ def test_no_two_sentences_contradict_each_other(result: DiagnosisResult) -> None
 @given(results())
 def test_what_is_not_sure_says_where_the_rest_of_its_probability_lies(result: DiagnosisResult) -> None:
     text = Page(report_html(result)).text
-    kept = OUTSIDE if result.diagnosis.verdict == "partly_explained" else 0.0
+    kept = result.diagnosis.outside
     told = f"{wording.probability(OUTSIDE)} is kept for something that acts like these causes and is none" in text
     assert told == bool(kept and result.diagnosis.causes)
     for cause in result.diagnosis.causes:
@@ -118,8 +122,12 @@ def test_what_is_not_sure_says_where_the_rest_of_its_probability_lies(result: Di
         assert head in text
         rest = 1.0 - cause.probability - kept
         assert (f"The other {wording.probability(rest)}: sets of causes without it" in text) or rest < 0.005
-        for rival in cause.rivals if rest >= 0.005 else []:
-            assert f"drag at the base ({wording.probability(rival.probability)})" in text
+        for rival in cause.rivals:
+            share = wording.probability(rival.probability)
+            if rival.effect == cause.effect:
+                assert f"Instead of at the motor it may act at the base ({share})" in text
+            elif rest >= 0.005:
+                assert f"drag at the base ({share})" in text
 
 
 def test_the_sentence_on_what_remains_agrees_with_its_table() -> None:

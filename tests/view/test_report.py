@@ -162,7 +162,7 @@ def test_stability_and_where_the_other_odds_lie_stand_beside_a_cause() -> None:
 
 def test_gains_ahead_step_measures_and_the_missing_torque_stand_in_it() -> None:
     text = Page(report_html(made.result())).text
-    assert "4.0 % → 1.1 %" in text and "24.0 %, 1.15 s" in text and "38.0 %, not settled" in text
+    assert "4.0 % → 1.1 %" in text and "24.0 %, 0.0710 s, 1.15 s" in text and "38.0 %, 0.0660 s, not settled" in text
     assert "31 % of the command's rms torque with the rig file as it is, 22 % with its constants re-fitted, " \
            "4.0 % with the causes." in text
     assert f"{2:064x}" in text and "Effort full." in text

@@ -7,8 +7,10 @@ import io
 import pytest
 from rich.console import Console
 
-from station.diagnose.result import Diagnosis, Estimate, Gain, RankedCause, Wrong
+from station.diagnose.result import Diagnosis, Estimate, Gain, RankedCause, Rival, Wrong
+from station.rig import load_rig
 from station.view import wording
+from station.view.report import report_html
 from station.view.terminal import print_diagnosis
 from tests.view import made
 
@@ -36,7 +38,8 @@ def test_an_interval_decides_how_many_digits_a_value_shows() -> None:
 def test_the_share_that_is_gone_and_the_verdict_say_the_same(verdict: str, fraction: float | None, words: str) -> None:
     causes = made.result(verdict).diagnosis.causes
     gain = Gain(held_out=["one"], explained_fraction=fraction)
-    assert wording.gone(Diagnosis(verdict=verdict, causes=causes, gain=gain)) == words
+    outside = 0.09 if verdict == "partly_explained" else 0.0
+    assert wording.gone(Diagnosis(verdict=verdict, causes=causes, gain=gain, outside=outside)) == words
     assert wording.gone(Diagnosis(verdict=verdict, gain=gain)) == ""
 
 
@@ -123,3 +126,34 @@ def test_the_terminal_shows_causes_candidates_and_gain() -> None:
                   "held out",
                   "Next: station run pulse --port PORT --rig RIG --amplitude 25 --duration 2 --out pulse-25.mcap"):
         assert words in out.getvalue(), words
+
+
+def test_two_delays_of_one_loop_are_told_as_its_total_latency() -> None:
+    found = made.result("ambiguous").diagnosis
+    time = Estimate(value=0.007, low=0.0067, high=0.0073, unit="s")
+    late = found.causes[0].model_copy(update={
+        "effect": "encoder_delay", "at": "encoder", "parameters": {"time": time},
+        "rivals": [Rival(effect="input_delay", at="amplifier", probability=0.5)]})
+    rig = load_rig("sflr")
+    said = wording.verdict_sentence(found.model_copy(update={"causes": [late]}), rig)
+    assert said.startswith("The loop's total latency is longer than simulated by 0.00700 s (0.00670 to 0.00730), and")
+    assert said.endswith("cannot tell whether it is encoder delay or input delay in the amplifier.")
+    lag = Rival(effect="actuator_lag", at="amplifier", probability=0.2)
+    said = wording.verdict_sentence(found.model_copy(
+        update={"causes": [late.model_copy(update={"rivals": [*late.rivals, lag]})]}), rig)
+    assert "latency" not in said and "actuator lag" in said
+
+
+def test_where_a_test_was_repeated_its_runs_difference_stands_beside_the_error() -> None:
+    result = made.result()
+    rows = result.diagnosis.gain.runs
+    rows[0].repeats.update(encoder=0.0123, accel=0.234)
+    out = io.StringIO()
+    print_diagnosis(result, Console(file=out, width=160))
+    for text in (out.getvalue(), report_html(result)):
+        assert "1.2 %" in text and "23 %" in text and "between repeats" in text.lower()
+    rows[0].repeats.clear()
+    out = io.StringIO()
+    print_diagnosis(result, Console(file=out, width=160))
+    for text in (out.getvalue(), report_html(result)):
+        assert "between repeats" not in text.lower()
