@@ -192,8 +192,8 @@ def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
                    "but these runs cannot settle it."
         if {one.effect for one in rivals} == _LATENCY:
             late = interval(first.parameters["time"])
-            return f"The loop's total latency is longer than simulated by {late}{certain}, and these runs cannot tell " \
-                   f"whether it is {titles(rivals, 'or')}."
+            return f"The loop's total latency is longer than simulated by {late}{certain}, and these runs cannot " \
+                   f"tell whether it is {titles(rivals, 'or')}."
         return f"The simulation gets something wrong{certain}, but these runs cannot tell whether it is " \
                f"{titles(rivals, 'or')}."
     return {"unexplained": "The simulation gets something wrong, and no cause known here is named by most resamples "
