@@ -75,9 +75,9 @@ REFINED = (0.7, 1.4)
 """Amplitudes tried about the best test's, as factors."""
 PAST = 8
 """Runs whose part in what is known already is worked out, the longest."""
-DARING = 2.0
+PRIOR_REACH = 2.0
 """Times the reach that a test may take where the stated uncertainty may put the rig."""
-BOLD = 6
+PRIOR_DRAWS = 6
 """Draws from the rig's stated uncertainty on which the first test must behave."""
 
 
@@ -282,7 +282,7 @@ def between(planner: Planner, beliefs: Sequence[Belief], odds: Sequence[float]) 
     weights = np.array([odds[i] * odds[j] for i, j in pairs])
     weights = weights / weights.sum()
 
-    def promising(tried: list[Trial]) -> list[Trial]:
+    def leading(tried: list[Trial]) -> list[Trial]:
         """The tests in which the hypotheses differ most as they stand, LOOKED of them."""
         runs = [trial.as_run(planner.rig) for trial in tried]
         still = [planner.forecasts(belief.still, runs) for belief in beliefs]
@@ -294,7 +294,7 @@ def between(planner: Planner, beliefs: Sequence[Belief], odds: Sequence[float]) 
         return [tried[r] for r in sorted(np.argsort(-np.array(scores), kind="stable")[:LOOKED])]
 
     def judge(tried: list[Trial]) -> list[Worth]:
-        tried = promising(tried) if len(tried) > LOOKED else tried
+        tried = leading(tried) if len(tried) > LOOKED else tried
         runs = [trial.as_run(planner.rig) for trial in tried]
         every = [planner.forecasts(belief, runs) for belief in beliefs]
         first = beliefs[0].model(beliefs[0].x)
@@ -348,12 +348,12 @@ class Blocks:
         return (self.effects - self.cross.T @ np.linalg.solve(inner, self.cross)) / SHOWS
 
 
-def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]], bold: Sequence[Belief] = (),
+def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]], drawn: Sequence[Belief] = (),
             share: float = 1.0) -> Callable[[list[Trial]], list[Worth]]:
     """Judge trials by how much of the catalogue they make visible that the planner's runs did not.
 
     ``base``: where the rig stands, its axes the uncertainty before any run.  ``effects``: words and the effect at a
-    usual size.  ``bold``: where else the rig may stand; a trial must behave there too, within that ``share`` of the
+    usual size.  ``drawn``: where else the rig may stand; a trial must behave there too, within that ``share`` of the
     reach.
     """
     first = base.model(base.x)
@@ -386,7 +386,7 @@ def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]
 
     def judge(tried: list[Trial]) -> list[Worth]:
         runs = [trial.as_run(planner.rig) for trial in tried]
-        daring = [planner.forecasts(other.still, runs) for other in bold]
+        daring = [planner.forecasts(other.still, runs) for other in drawn]
         found = []
         for r, (trial, run, (here, outputs, blocks)) in enumerate(zip(tried, runs, looked(runs), strict=True)):
             if not planner.behaves(trial, here):
@@ -489,10 +489,10 @@ def first_test(rig: Rig) -> Choice:
 
     accel = [np.hypot(ACCEL_DEFAULT, np.sqrt(QUANTISATION))] if rig.accelerometer is not None else []
     base = Belief("the rig as its file says", np.zeros(len(paths)), np.eye(len(paths)), model)
-    bold = [replace(base, x=x) for x in np.random.default_rng(0).normal(size=(BOLD, len(paths)))]
+    drawn = [replace(base, x=x) for x in np.random.default_rng(0).normal(size=(PRIOR_DRAWS, len(paths)))]
     with ThreadPoolExecutor(2) as pool:
         planner = Planner(rig, np.array([np.sqrt(QUANTISATION), *accel]), pool)
-        found = (planner.best(showing(planner, base, _addable(rig), bold, DARING), trials(rig))
+        found = (planner.best(showing(planner, base, _addable(rig), drawn, PRIOR_REACH), trials(rig))
                  or planner.best(showing(planner, base, _addable(rig)), trials(rig)))
     return _choice(found, planner)
 

@@ -18,7 +18,7 @@ import numpy as np
 from station.diagnose.candidates import Candidate
 from station.diagnose.linearised import Change, Linearised
 from station.estimation.dataset import SEVERAL
-from station.estimation.least_squares import LOST, Fit
+from station.estimation.least_squares import DIVERGED, Fit
 from station.estimation.parameters import Key, Sizes, parameters
 from station.estimation.prediction import Predictor
 from station.model.effects import Stage
@@ -30,7 +30,7 @@ STRONG = 100.0
 BIAS = ("command_bias", "amplifier")
 """The cause that is what runs may have of their own, where all have the same of it."""
 PAIRED = 8
-"""Causes that are looked at in pairs: those that promise most."""
+"""Causes that are looked at in pairs: those expected to gain most."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ def scaled(candidate: Candidate, guess: dict[str, float], factor: float) -> dict
 
 def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
            ) -> tuple[list[Screened], list[tuple[Screened, Screened]], list[Exchange]]:
-    """All causes at their guesses, best first; pairs that promise more than their better half, best first; and what
+    """All causes at their guesses, best first; pairs expected to gain more than their better half, best first; and what
     could stand in the place of one of the parent's effects, for each of them best first."""
     known = Linearised.of(predictor, parent)
 
@@ -108,12 +108,12 @@ def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
         change = at(candidate, guess)
         if change is None:
             return _Row(Screened(candidate, guess, 0.0, 1.0, 0.0), None)
-        found = _promised(known, candidate, guess, change)
+        found = _expected(known, candidate, guess, change)
         if found.information > STRONG:
             factor = math.sqrt(STRONG / found.information)
             smaller = at(candidate, scaled(candidate, guess, factor))
             if smaller is not None:
-                closer = _promised(known, candidate, guess, smaller)
+                closer = _expected(known, candidate, guess, smaller)
                 if closer.gain > found.gain:
                     closer = replace(closer, size=factor * closer.size, information=found.information)
                     return _Row(closer, smaller, factor)
@@ -147,8 +147,8 @@ def _shared(parent: Fit, pool: Sequence[Candidate]) -> list[Screened]:
     return [Screened(c, {"offset": mean}, gain, 1.0, 0.0, mean) for c in pool if c.key == BIAS]
 
 
-def _promised(known: Linearised, candidate: Candidate, guess: dict[str, float], change: Change) -> Screened:
-    """What a change promises: the most of what two quadratics do that promise no more than the likelihood."""
+def _expected(known: Linearised, candidate: Candidate, guess: dict[str, float], change: Change) -> Screened:
+    """What a change is expected to gain: the most of two quadratics that give no more than the likelihood."""
     gram, slope = known.products([change])
     found = _screened(candidate, guess, float(gram[0, 0]), float(slope[0]))
     beyond = known.beyond(change)
@@ -203,7 +203,7 @@ def _in_place(known: Linearised, rows: Sequence[_Row]) -> list[Exchange]:
     hypothesis, data = space.hypothesis, known.predictor.data
     for less in [(cls.name, at) for cls, at in hypothesis.effects]:
         centres = {key: sizes for key, sizes in space.values(space.mean).items() if key != less}
-        with suppress(*LOST):
+        with suppress(*DIVERGED):
             reduced = known.without(parameters(data, hypothesis.without(less), centres))
             others: dict[Key, Screened] = {}
             for row in rows:

@@ -1,6 +1,6 @@
 """Selecting causes: fit the rig alone, then one cause more at a time, and judge every set by one score.
 
-Each rung screens all causes on top of the best set so far (``screening``), fits those that promise most, and looks
+Each rung screens all causes on top of the best set so far (``screening``), fits those expected to gain most, and looks
 back: a set must hold against every set with one cause less.  What the blocks of errors count for (``Weighing``) is read
 off the best set and is the same for all sets that are compared; with it the score is a pure function of a fit.
 """
@@ -20,7 +20,7 @@ from station.diagnose.screening import Screened, screen
 from station.diagnose.starts import far_starts, rigid_starts
 from station.diagnose.thresholds import CLOSE, LOG_PRIOR, LOG_PRIOR_PARAMETER, WORTH_A_FIT
 from station.estimation.constants import base_fit, settled
-from station.estimation.least_squares import FAR, LOST, Fit, fit, inherited, weighing_of
+from station.estimation.least_squares import DIVERGED, FAR, Fit, fit, inherited, weighing_of
 from station.estimation.likelihood import Weighing
 from station.estimation.parameters import Causes, Hypothesis, Key, Parameters, Sizes, parameters
 from station.estimation.prediction import COARSE, FINE, SEARCH, Accuracy, Predictor
@@ -117,7 +117,7 @@ class Selection:
 
     def keep(self, found: Fit, begun_at: Fit | None = None) -> None:
         """Remember a fit; of the same causes the better one, but never ``begun_at``, from where this one was fitted on:
-        what a step promised there has been tried since."""
+        what a step was expected to gain there has been tried since."""
         old = self.fits.get(found.key)
         if old is None or old is begun_at or self.score(found) > self.score(old):
             self.fits[found.key] = found.light
@@ -203,7 +203,7 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], share: tuple[f
         return begun(predictor, parent, start[1], start[0])
 
     found: dict[Causes, Fit] = {}
-    promised: dict[Causes, float] = {}
+    expected: dict[Causes, float] = {}
 
     def keep(one: Fit) -> None:
         search.keep(one)
@@ -221,22 +221,22 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], share: tuple[f
         if reached is not None:
             keep(reached)
             if less is None:
-                promised[reached.key] = max(promised.get(reached.key, 0.0), more[0].gain)
-    ranked = leading(search, found, {key: parent.objective - gain for key, gain in promised.items()})
+                expected[reached.key] = max(expected.get(reached.key, 0.0), more[0].gain)
+    ranked = leading(search, found, {key: parent.objective - gain for key, gain in expected.items()})
     ranked = ranked[: effort.finished]
     _refit(search, [search.fits[f.key] for f in ranked], False,
            lambda k, label: progress(f"fitted {label}",
                                      share[0] + (share[1] - share[0]) * (0.6 + 0.4 * (k + 1) / len(ranked))))
 
 
-def leading(search: Selection, found: dict[Causes, Fit], promised: dict[Causes, float]) -> list[Fit]:
+def leading(search: Selection, found: dict[Causes, Fit], expected: dict[Causes, float]) -> list[Fit]:
     """Fits of a few steps in the order in which they are taken further: the best one, then by what they may reach.
 
-    A fit that stopped above the objective that screening promised of its causes (``promised``) has not arrived, and may
-    reach that: screening promises no more than the likelihood does, as far as predictions are linear.
+    A fit that stopped above the objective that screening expects of its causes (``expected``) has not arrived, and may
+    reach that: screening expects no more than the likelihood gives, as far as predictions are linear.
     """
     def may_reach(one: Fit) -> float:
-        return search.score(one) + 0.5 * max(one.objective - promised.get(one.key, np.inf), 0.0)
+        return search.score(one) + 0.5 * max(one.objective - expected.get(one.key, np.inf), 0.0)
 
     best = max(found.values(), key=search.score, default=None)
     return sorted(found.values(), key=lambda one: (one is not best, -may_reach(one)))
@@ -255,7 +255,7 @@ def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened], less: Ke
         hypothesis, centres, first = (hypothesis + one.candidate.hypothesis, {**centres, **one.centre},
                                       {**first, **one.start})
     space = parameters(predictor.data, hypothesis, centres)
-    with suppress(*LOST):
+    with suppress(*DIVERGED):
         return fit(predictor, space, parent.weighing, space.carried(parent.space, parent.x, first), own,
                    jacobian=inherited(parent, space), parallel=False, renewals=0, first=FAR,
                    iterations=QUICK_STEPS, tolerance=0.5).light
@@ -286,7 +286,7 @@ def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
     """Fit sets to the end, each with what runs differ by by itself, side by side."""
     def again(found: Fit) -> Fit | None:
         space, x = centred(search.predictor, found)
-        with suppress(*LOST):
+        with suppress(*DIVERGED):
             return fit(search.predictor, space, search.own_weighing(found), x, found.own, parallel=False,
                        iterations=STEPS, renewals=4, tolerance=0.2,
                        to_the_end=to_the_end).light
@@ -315,7 +315,7 @@ def _reduced(search: Selection, found: Fit, causes: Causes) -> Fit | None:
             hypothesis = hypothesis.without(cause)
     centres: Sizes = {k: v for k, v in found.space.values(found.space.mean).items() if k in causes}
     space = parameters(search.predictor.data, hypothesis, centres)
-    with suppress(*LOST):
+    with suppress(*DIVERGED):
         return fit(search.predictor, space, search.loosest(found), space.carried(found.space, found.x), found.own,
                    parallel=False, iterations=STEPS, renewals=4, tolerance=0.2).light
     return None

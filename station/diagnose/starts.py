@@ -17,9 +17,9 @@ import numpy as np
 
 from station.diagnose.candidates import Candidate
 from station.diagnose.thresholds import WORTH_A_FIT
-from station.estimation.constants import BEGINNINGS, in_step, unknown
-from station.estimation.dataset import beginning
-from station.estimation.least_squares import FAR, LOST, Fit, fit
+from station.estimation.constants import FIRST_SECONDS, in_step, unknown
+from station.estimation.dataset import first_seconds
+from station.estimation.least_squares import DIVERGED, FAR, Fit, fit
 from station.estimation.likelihood import Weighing, cost
 from station.estimation.parameters import WIDE, Hypothesis, Parameters, parameters
 from station.estimation.prediction import Predictor
@@ -31,7 +31,7 @@ RIGID = (1.5, 3.0)
 beside another cause the last alone."""
 AWAY = np.arange(-6, 7) / 2.0
 """Sigmas of that prior from nominal at which the objective is worked out: steps of a factor of 2.1."""
-SECONDS = BEGINNINGS[1]
+SECONDS = FIRST_SECONDS[1]
 """Stretch after the first command for that: a period of a beam's slowest mode."""
 
 
@@ -47,7 +47,7 @@ class Start:
 
     def fitted(self, predictor: Predictor, weighing: Weighing) -> Fit | None:
         """To whole runs, without derivatives; None where that does not simulate.  From one of the pool's threads."""
-        with suppress(*LOST):
+        with suppress(*DIVERGED):
             return fit(predictor, self.space, weighing, self.x, self.own, parallel=False, tolerance=0.5,
                        first=FAR).light
         return None
@@ -81,7 +81,7 @@ def far_starts(predictor: Predictor, pool: Sequence[Candidate], most: int) -> li
     def begun(row: tuple[float, int, float]) -> tuple[Start, float] | None:
         candidate = constants[row[1]]
         space = parameters(predictor.data, candidate.hypothesis, {})
-        with suppress(*LOST):
+        with suppress(*DIVERGED):
             found = in_step(predictor, space, _placed(space, candidate, row[2], space.mean), parallel=False)
             return Start(candidate, space, found.x, found.own), found.objective
         return None
@@ -96,7 +96,7 @@ def _profiles(predictor: Predictor, constants: Sequence[Candidate]) -> list[tupl
 
     On one mesh: a place to begin needs none that is finer.
     """
-    data = beginning(predictor.data, SECONDS)
+    data = first_seconds(predictor.data, SECONDS)
     part = predictor.on(replace(data, rig=data.rig.with_fixed_mesh()))
     weighing = unknown(part)
 
@@ -108,7 +108,7 @@ def _profiles(predictor: Predictor, constants: Sequence[Candidate]) -> list[tupl
 
 
 def _cost(part: Predictor, space: Parameters, x: np.ndarray, weighing: Weighing) -> float:
-    with suppress(*LOST), np.errstate(over="ignore", invalid="ignore"):
+    with suppress(*DIVERGED), np.errstate(over="ignore", invalid="ignore"):
         made = part.runs(space, x, part.data.own)
         squares = [np.sum(((part.measured(r) - y) * part.scale(r)) ** 2, axis=1) for r, y in enumerate(made)]
         return cost(np.array(squares), part.counts, weighing.independent)

@@ -19,7 +19,7 @@ no set of causes could win."""
 CLOSE = 15.0
 """Log posterior odds within which a set is a rival worth fitting to the end: e^-15 is beyond any resample."""
 STABLE = 0.8
-"""Share of resamples in which a stated cause must be named (the project's own promise)."""
+"""Share of resamples in which a stated cause must be named (the project's own rule)."""
 TOLERANCE = 0.1
 """Share of what a cause changes below which what another does not do of it makes the two one to these runs: a variance
 inflation factor of ten (Marquardt, Technometrics 12, 1970)."""

@@ -12,7 +12,7 @@ from station.diagnose.measures import floor, nrmse, repeats, step_figures
 from station.diagnose.result import ChannelGain, Gain, RunGain
 from station.diagnose.thresholds import UNSEEN
 from station.estimation.dataset import Dataset
-from station.estimation.least_squares import LOST, Fit, fit, own_steps
+from station.estimation.least_squares import DIVERGED, Fit, fit, own_steps
 from station.estimation.likelihood import Weighing, cost, nuisance_precision
 from station.estimation.observer import observers
 from station.estimation.parameters import Parameters
@@ -93,7 +93,7 @@ def leave_each_out(predictor: Predictor, weighing: Weighing, found: Fit, iterati
     def without(r: int) -> Fit:
         weights = np.ones(len(predictor.data.runs))
         weights[r] = 0.0
-        with suppress(*LOST):
+        with suppress(*DIVERGED):
             return fit(predictor, found.space, weighing, found.x, found.own, runs=weights,
                        jacobian=found.jacobian, parallel=False, iterations=iterations, renewals=2).light
         return found.light

@@ -8,15 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from station.estimation.dataset import beginning
-from station.estimation.least_squares import LOST, Fit, fit, largest_differ, weighing_of
+from station.estimation.dataset import first_seconds
+from station.estimation.least_squares import DIVERGED, Fit, fit, largest_differ, weighing_of
 from station.estimation.likelihood import Weighing
 from station.estimation.parameters import Hypothesis, Parameters, parameters
 from station.estimation.prediction import Predictor
 
-BEGIN = 0.02
+PRIOR_SHARE = 0.02
 """Share of all samples that count as independent before anything is known of the errors."""
-BEGINNINGS = (0.1, 0.3, 1.0)
+FIRST_SECONDS = (0.1, 0.3, 1.0)
 """Seconds after the first command: one after the other, a period of the slowest mode of a beam apart."""
 ROUGH, WORTH = 1.0, 0.2
 """Falls of -2 ln L that end a fit on the way, and one whose end is compared with others'."""
@@ -41,7 +41,7 @@ def descended(predictor: Predictor, space: Parameters, x: np.ndarray) -> Fit:
     """
     found = [fit(predictor, space, unknown(predictor), x, tolerance=ROUGH)]
     if predictor.observers:
-        with suppress(*LOST):
+        with suppress(*DIVERGED):
             begun = in_step(predictor, space, x)
             found.append(fit(predictor, space, unknown(predictor), begun.x, begun.own, tolerance=ROUGH))
     return min(found, key=lambda f: f.objective)
@@ -53,9 +53,9 @@ def in_step(predictor: Predictor, space: Parameters, x: np.ndarray, parallel: bo
     ArithmeticError: ``x`` does not simulate.
     """
     own = predictor.data.own
-    for seconds in BEGINNINGS:
-        part = predictor.on(beginning(predictor.data, seconds))
-        tolerance = WORTH if seconds == BEGINNINGS[-1] else ROUGH
+    for seconds in FIRST_SECONDS:
+        part = predictor.on(first_seconds(predictor.data, seconds))
+        tolerance = WORTH if seconds == FIRST_SECONDS[-1] else ROUGH
         found = fit(part, space, unknown(part), x, own, tolerance=tolerance, iterations=12, parallel=parallel)
         x, own = found.x, found.own
     return found
@@ -71,7 +71,7 @@ def searched(predictor: Predictor, space: Parameters, starts: int, seed: int,
     for k in range(starts):
         x = space.mean + (rng.standard_normal(space.size) / np.sqrt(space.precision) if k else 0.0)
         said = "does not simulate"
-        with suppress(*LOST):
+        with suppress(*DIVERGED):
             ends.append(descended(predictor, space, x))
             said = f"mean squared error {ends[-1].misfit:.4g} times the noise's"
         progress(f"start {k + 1} of {starts}: {said}", (k + 1) / starts)
@@ -87,7 +87,7 @@ def unknown(predictor: Predictor) -> Weighing:
     By how much they do is read off what a fit gives each run: off one that gives them nothing, nothing can be.
     """
     share, constant = largest_differ(predictor.data.rig).tolist()
-    return Weighing(BEGIN * predictor.counts, 1.0, (share, constant))
+    return Weighing(PRIOR_SHARE * predictor.counts, 1.0, (share, constant))
 
 
 def settled(predictor: Predictor, found: Fit, rounds: int = 4) -> Fit:

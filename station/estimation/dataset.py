@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from station.errors import WorkError
-from station.estimation.noise import QUANTISATION, noise_sigmas, rest_rows, rounding_shares
+from station.estimation.noise import QUANTISATION, noise_sigmas, rest_rows, rest_start, rounding_shares
 from station.estimation.observer import Observer, observers
 from station.model.simulate import build, simulate_model
 from station.rig import PROFILE, Rig
@@ -22,8 +22,6 @@ SEGMENT = 1.0
 """Length of the stretches that are drawn again when data are resampled, s: longer than an arm's errors remember."""
 SEGMENTS = 40
 """Most stretches in all runs together; they grow longer instead."""
-RESTS = 100
-"""Most rows at rest from which a starting angle is taken."""
 FINDS = 0.1
 """Horizon (s) of the observer that finds the state of a rig in motion.  Of a shorter one the base follows the encoder
 so stiffly that the beam's errors ring on as on a clamp; a longer one's base forgets late."""
@@ -194,7 +192,7 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
         tuple(np.stack([r.encoder, r.accel if has_accel else np.zeros_like(r.encoder)]).astype(float) for r in runs),
         tuple(_shares(r, w, encoder, 2 if has_accel else 1) for r, w in zip(runs, kept, strict=True)),
         (encoder, accel), rows,
-        np.array([float(np.mean(r.encoder[: max(min(rest_rows(r), RESTS), 1)])) * rig.angle_per_count for r in runs]),
+        np.array([float(np.mean(r.encoder[rest_start(r)])) * rig.angle_per_count for r in runs]),
         np.array([float(np.mean(r.accel[: len(r) if w else max(rest_rows(r), 1)])) if has_accel else 0.0
                   for r, w in zip(runs, warm, strict=True)]), warm,
         tuple(groups.index(z) for z in zero_ids), clock_evidence(runs), tuple(segment), np.array(owner))
@@ -207,7 +205,7 @@ def uneven(rig: Rig) -> Rig:
     return rig.model_copy(update={"uncertainty": {**dict.fromkeys(sorted(PROFILE), RIGIDITY), **rig.uncertainty}})
 
 
-def beginning(data: Dataset, seconds: float) -> Dataset:
+def first_seconds(data: Dataset, seconds: float) -> Dataset:
     """The same runs, of which each ends so long after its first command."""
     ends = [max(int(np.argmax(run.command != run.command[0])), warm) + math.ceil(seconds * run.sample_rate)
             for run, warm in zip(data.runs, data.warm, strict=True)]

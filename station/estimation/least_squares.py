@@ -27,7 +27,7 @@ from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor
 from station.rig import Rig
 
-LOST = (ArithmeticError, np.linalg.LinAlgError)
+DIVERGED = (ArithmeticError, np.linalg.LinAlgError)
 """What a fit raises that went where nothing simulates."""
 STEP = 1e-5
 """Finite-difference step in whitened or logarithmic coordinates: the root of a simulation's own relative error, which
@@ -289,7 +289,7 @@ class Fit:
         return float(0.5 * (volume - value)) - 0.5 * cost(squares, counts, independent) / weighing.temperature
 
 MOST_GAINED = 20.0
-"""What a step that is not simulated may promise of the data's part of the objective."""
+"""What a step that is not simulated may be expected to gain of the data's part of the objective."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -434,7 +434,7 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
         jacobian: list[np.ndarray] | None = None, renewals: int = 100, parallel: bool = True,
         to_the_end: bool = False, first: float = NEAR) -> Fit:
     """Minimise the objective from ``x``; ``tolerance`` is the fall of it that ends the fit; ``to_the_end`` only if no
-    more is promised, and with derivatives of where it ended.
+    more is expected, and with derivatives of where it ended.
 
     Promised is what a step without damping would win of the objective's quadratic (the squared Newton decrement: Boyd
     and Vandenberghe, Convex Optimization, 2004, section 9.5): in a long valley a damped step wins next to
@@ -478,8 +478,8 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
             damping = max(damping, LEAST_DAMPING)
             _broyden(jac, here, found, descent)
             here, fresh = found, False
-        promised = float(force @ np.linalg.solve(matrix, force)) if to_the_end else 0.0
-        if ratio > POOR and max(gain, promised) >= tolerance or gain >= tolerance and renewals <= 0:
+        expected = float(force @ np.linalg.solve(matrix, force)) if to_the_end else 0.0
+        if ratio > POOR and max(gain, expected) >= tolerance or gain >= tolerance and renewals <= 0:
             continue
         if renewals <= 0 or ratio > POOR or at_hand and gain < tolerance:
             break

@@ -16,6 +16,8 @@ SMOOTH = 5.0
 counts, for its rounding error runs through all its values meanwhile."""
 RESTING = 0.004
 """Share of a sample while nothing crosses a count: one or two independent errors per rest."""
+RESTS = 100
+"""Most rows at rest that say where a run begins."""
 SPAN = 10
 """Rows either side over which the encoder's speed is taken."""
 
@@ -35,6 +37,11 @@ def rest_rows(run: Run) -> int:
     moved = np.flatnonzero((run.reference != run.reference[0]) | (np.abs(run.encoder - run.encoder[0]) > 1.0)
                            | (np.abs(run.command - run.command[0]) > 1.0))
     return int(moved[0]) if moved.size else len(run.t)
+
+
+def rest_start(run: Run) -> slice:
+    """The first rows, at most RESTS, whose mean says where a run at rest begins; at least one."""
+    return slice(max(min(rest_rows(run), RESTS), 1))
 
 
 def noise_sigmas(runs: list[Run]) -> tuple[float, float, int]:

@@ -120,7 +120,7 @@ def _sampled(tables: _Tables, ports: tuple[str, ...], period: float, substeps: i
     port_speed = np.array([rotation @ form.basis[n:] for rotation in rotations]).reshape(-1, 2 * form.blocks)
     port_held = np.array([apply(held, torque) for torque in torques]).reshape(-1, 2 * form.blocks)
     joints = [getattr(rig, port) if port in ("drive", "clamp") else None for port in ports]
-    slots, first, arguments, _ = _slots(rig, [], ports)
+    table, first, arguments, _ = slots(rig, [], ports)
     moment = axis_moment(parts, rig.motor.damping) @ form.basis
     switched = np.zeros_like(command)
     if switch >= 0:
@@ -135,7 +135,7 @@ def _sampled(tables: _Tables, ports: tuple[str, ...], period: float, substeps: i
         np.array([0.0 if j is None else j.stiffness for j in joints]),
         np.array([0.0 if j is None else j.damping for j in joints]),
         -1, -1, rig.motor.gain, rig.motor.damping, moment, port_held @ moment,
-        slots, first, arguments, rig.amplifier.limit, rig.beam.length if rig.beam else 0.0,
+        table, first, arguments, rig.amplifier.limit, rig.beam.length if rig.beam else 0.0,
         1.0 / rig.angle_per_count, gain, 0.0, 0.0)
     return parts, form, plan, dropped
 
@@ -161,11 +161,11 @@ def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP) ->
     if loaded and rig.drive is None and rig.beam is not None:
         truncation = 0.0   # the moment at the beam's root is the sum of all modes
     parts, form, plan, dropped = _sampled(_Tables(rig), ports, period, substeps, delay, truncation)
-    slots, first, arguments, states = _slots(rig, laws, ports)
+    table, first, arguments, states = slots(rig, laws, ports)
     plan = plan._replace(
         load_port=ports.index("drive") if loaded and rig.drive is not None else -1,
         axis_port=ports.index("motor") if loaded and rig.drive is None else -1,
-        slots=slots, first=first, arguments=arguments,
+        slots=table, first=first, arguments=arguments,
         encoder_delay=late[Stage.ENCODER_DELAY] / plan.h, accel_delay=late[Stage.ACCEL_DELAY] / plan.h)
     filters = int(first[stepper.ACCEL_FILTER + 1] - first[stepper.ACCEL_FILTER])
     rings = int(max(plan.encoder_delay, plan.accel_delay)) + 3
@@ -243,7 +243,8 @@ def _truncate(rig: Rig, parts: Assembly, form: ModalForm, forces: np.ndarray, ra
     return np.sort(order[count:]), float(total[count - 1]) if count else 0.0
 
 
-def _slots(rig: Rig, laws: list[Effect], ports: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+def slots(rig: Rig, laws: list[Effect], ports: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+    """Effects, in the order of their stages, as a plan holds them (slots, first, arguments), and their states."""
     rows: list[tuple[int, int, int, int, int]] = []
     arguments: list[float] = []
     states = 0

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from station.model.compiled import call_law, element, kernel
+from station.model.compiled import call_law, element, kernel, njit
 
 COMMAND, TORQUE, FRICTION, GAP, SPRING, ACCEL_INPUT, ACCEL_FILTER, ACCEL_COUNTS, ENCODER = range(9)
 STAGES = 9
@@ -200,6 +200,20 @@ def _joint_torque(laws, port, stiffness, damping, deflection, speed):
     if engaged:
         torque += damping * speed
     return torque
+
+
+@njit(cache=True, nogil=True)
+def law_along(law, arguments, states, x, v, w, h, out):
+    """One law, by its address, along arrays (n); its states are carried from row to row."""
+    for i in range(out.size):
+        out[i] = call_law(law, x[i], v[i], w[i], element(arguments, 0), element(states, 0), h)
+
+
+@njit(cache=True, nogil=True)
+def joint_along(laws, stiffness, damping, deflection, rate, out):
+    """Torque of a joint, port 0 of ``laws``, along arrays (n), N m."""
+    for i in range(out.size):
+        out[i] = _joint_torque(laws, 0, stiffness, damping, deflection[i], rate[i])
 
 
 @kernel(forceinline=True)

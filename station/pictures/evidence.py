@@ -17,16 +17,11 @@ import numpy as np
 from scipy import signal
 from scipy.ndimage import median_filter
 
+from station.model.along import joint_torque, law_values
 from station.model.effects import Effect, Stage, catalogue
 from station.model.modal import modal_form
 from station.model.simulate import Simulation, build, by_load, simulate_model
-from station.pictures.missing import (
-    MissingTorque,
-    joint_torque,
-    law_values,
-    missing_torque,
-    rest_start,
-)
+from station.pictures.missing import MissingTorque, missing_torque, resting
 from station.rig import Rig
 from station.runs.run import Run, RunMetadata
 
@@ -315,7 +310,7 @@ def _command(cause: _Cause) -> list[Evidence]:
 
 def _command_driven(rig: Rig, run: Run) -> Simulation:
     """The run's logged command through the rig; the right comparison for a sensor, closed loop or not."""
-    start, offset = rest_start(rig, run)
+    start, offset = resting(rig, run)
     alone = replace(run, metadata=RunMetadata(start=run.metadata.start))
     return simulate_model(build(rig), alone, rounding=False, start_angle=start, accel_offset=offset)
 
@@ -356,7 +351,7 @@ def _eccentricity(cause: _Cause) -> list[Evidence]:
     assert effect is not None
     model = build(cause.extended)
     for run in cause.runs:
-        start, offset = rest_start(cause.extended, run)
+        start, offset = resting(cause.extended, run)
         reading = simulate_model(model, run, rounding=False, start_angle=start, accel_offset=offset).encoder
         angle = reading * cause.extended.angle_per_count
         x.append(angle)

@@ -23,13 +23,13 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from station.errors import UsageError
-from station.estimation.noise import QUANTISATION, noise_sigmas, rest_rows
+from station.estimation.noise import QUANTISATION, noise_sigmas, rest_start
 from station.model import stepper
+from station.model.along import TORQUES, axis_load, effective_command, held_torque, joint_torque, part_of, true_encoder
 from station.model.assembly import Assembly, torque_input
 from station.model.compiled import njit
 from station.model.effects import Effect, Stage
 from station.model.effects.base import torque_scale
-from station.model.load import axis_load, effective_command
 from station.model.modal import ModalForm, dense, modal_form
 from station.model.simulate import Model, build, controller_arrays, initial_state
 from station.rig import Rig
@@ -43,12 +43,9 @@ WANDER = 0.01
 """Step of the accelerometer's offset, counts per sample."""
 SETTLED = 1e-3
 """Relative change per row below which a covariance counts as settled."""
-REST_ROWS = 20
-NEWTON = 8
 PASSES = 4
 """Times that torques which the rig holds are evaluated on the smoothed motion."""
 _COMMAND_PATH = (Stage.COMMAND, Stage.INPUT_DELAY, Stage.CLOCK)
-_TORQUES = (Stage.TORQUE, Stage.FRICTION, Stage.GAP, Stage.SPRING)
 _ACCEL_PATH = (Stage.ACCEL_INPUT, Stage.ACCEL_FILTER, Stage.ACCEL_COUNTS, Stage.ACCEL_DELAY)
 
 
@@ -119,14 +116,14 @@ def missing_torque(rig: Rig, run: Run, at: str = "motor", *, accelerometer: bool
     port = port_vector(rig, parts, at)
     use_accel = (accelerometer and rig.accelerometer is not None and run.accel is not None
                  and not any(e.stage in _ACCEL_PATH for e in rig.effects))
-    start, offset = rest_start(rig, run)
+    start, offset = resting(rig, run)
     simulated, driven = _driven(model, run, start, offset)
     measured = [true_encoder(rig, run.encoder)] + ([run.accel] if use_accel else [])
     excess = np.stack([m - s for m, s in zip(measured, simulated, strict=False)], axis=1)
     scale = torque_scale(rig) / (rig.beam.length if at == "tip" and rig.beam else 1.0)
     system = _system(rig, parts, form, port, run, period, use_accel)
     n, modes = parts.size, 2 * form.blocks
-    laws = [e for e in rig.effects if e.stage in _TORQUES]
+    laws = [e for e in rig.effects if e.stage in TORQUES]
     forcing = np.zeros((len(run.t), system.f.shape[0]))
     known: dict[str, np.ndarray] = {}
     reaching = effective_command(rig, run.command) if rig.drive is None else run.command
@@ -170,20 +167,11 @@ def _between(values: np.ndarray) -> np.ndarray:
     return 0.5 * (values + _next(values))
 
 
-def rest_start(rig: Rig, run: Run) -> tuple[float, float]:
+def resting(rig: Rig, run: Run) -> tuple[float, float]:
     """A run's starting angle (rad) and its accelerometer's offset (counts), means over the rows at rest."""
-    rest = max(min(rest_rows(run), 100), 1)
-    start = float(np.mean(true_encoder(rig, run.encoder[:rest]))) * rig.angle_per_count
-    return start, 0.0 if run.accel is None else float(np.mean(run.accel[:rest]))
-
-
-def true_encoder(rig: Rig, reading: np.ndarray) -> np.ndarray:
-    """The encoder (counts) without the eccentricity and delay that the rig holds; its last reading is held."""
-    period = rig.period * math.prod(e.values()["ratio"] for e in rig.effects if e.stage is Stage.CLOCK)
-    late = sum(e.values()["time"] for e in rig.effects if e.stage is Stage.ENCODER_DELAY)
-    added = sum(law_values(rig, e, reading * rig.angle_per_count) for e in rig.effects if e.stage is Stage.ENCODER)
-    ticks = np.arange(len(reading))
-    return np.interp(ticks + late / period, ticks, reading - added)
+    rest = rest_start(run)
+    start = float(np.mean(true_encoder(rig, run.encoder[rest]))) * rig.angle_per_count
+    return start, 0.0 if run.accel is None else float(np.mean(run.accel[rest]))
 
 
 def _driven(model: Model, run: Run, start: float, offset: float) -> tuple[tuple[np.ndarray, np.ndarray], _Motion]:
@@ -259,69 +247,6 @@ def _likeliest(system: _System, scale: float, excess: np.ndarray, forcing: np.nd
     return chosen, math.exp(found.x), mistrust
 
 
-def law_values(rig: Rig, effect: Effect, x: np.ndarray | float, v: np.ndarray | float = 0.0,
-               w: np.ndarray | float = 0.0, h: float | None = None) -> np.ndarray:
-    """An effect's own law along arrays (n), its states carried from row to row; see station.model.effects.base."""
-    law, p, s = type(effect).law, effect.arguments(rig), [0.0] * max(effect.states, 1)
-    return np.array([law(*row, p, s, rig.period if h is None else h)  # type: ignore[misc]
-                     for row in zip(*(a.tolist() for a in np.broadcast_arrays(x, v, w)), strict=True)])
-
-
-def held_torque(rig: Rig, at: str, angle: np.ndarray, speed: np.ndarray, load: np.ndarray,
-                before: np.ndarray | float, h: float) -> np.ndarray:
-    """Torque (n) of the rig's own effects on a part that moves so, N m; of joints what differs from spring and damper.
-
-    ``load`` (n): on the gears, N m.  Dry friction of a part that moves less than a count in REST_ROWS rows is left at
-    0: the motion does not say it.
-    ``before`` is what was found for this place with the motion at hand: a spring without play is taken at the
-    deflection at which it carries the torque that this motion passes on, which the data fix, not the deflection.
-    """
-    total = np.zeros(len(angle))
-    here = [e for e in rig.effects if e.stage in _TORQUES and _port_of(rig, e) == at]
-    for effect in here:
-        if effect.stage is Stage.TORQUE:
-            total += law_values(rig, effect, angle, speed, h=h)
-        elif effect.stage is Stage.FRICTION:
-            moves = np.abs(speed) > rig.angle_per_count / (REST_ROWS * h)
-            total -= np.sign(speed) * moves * law_values(rig, effect, np.abs(speed), 0.0, np.abs(load), h)
-    if any(e.stage is Stage.GAP for e in here):
-        joint = getattr(rig, at)
-        total += joint.stiffness * angle + joint.damping * speed - joint_torque(rig, at, angle, speed, h)
-    elif any(e.stage is Stage.SPRING for e in here):
-        stiffness = getattr(rig, at).stiffness
-        carried = stiffness * angle - before
-        total += stiffness * _deflection(rig, at, carried, angle, h) - carried
-    return total
-
-
-def _deflection(rig: Rig, at: str, torque: np.ndarray, guess: np.ndarray, h: float) -> np.ndarray:
-    """Deflection (n) at which a joint at rest carries a torque (n), by Newton's method."""
-    small, still, x = 1e-6 * (1.0 + np.max(np.abs(guess))), np.zeros(len(guess)), guess
-    for _ in range(NEWTON):
-        value = joint_torque(rig, at, x, still, h)
-        slope = (joint_torque(rig, at, x + small, still, h) - value) / small
-        x = x + (torque - value) / np.maximum(slope, 0.05 * getattr(rig, at).stiffness)
-    return x
-
-
-def joint_torque(rig: Rig, at: str, deflection: np.ndarray, rate: np.ndarray, h: float) -> np.ndarray:
-    """Torque (n) of the drive or clamp with the effects that the rig holds, pulling its two sides together, N m."""
-    joint, beyond, effects = getattr(rig, at), deflection, [e for e in rig.effects if e.at == at]
-    gaps = [e for e in effects if e.stage is Stage.GAP]
-    for effect in gaps:
-        beyond = law_values(rig, effect, beyond, h=h)
-    engaged = beyond != 0.0 if gaps else np.ones(len(beyond), dtype=bool)
-    springs = [law_values(rig, e, beyond, rate, h=h) for e in effects if e.stage is Stage.SPRING]
-    return joint.stiffness * beyond + joint.damping * rate * engaged + sum(springs)
-
-
-def _port_of(rig: Rig, effect: Effect) -> str:
-    """The place at which an effect's torque acts."""
-    if effect.stage is Stage.FRICTION and effect.at == "drive" or effect.at == "base" and rig.drive is None:
-        return "motor"
-    return effect.at
-
-
 def _load(rig: Rig, parts: Assembly, motion: _Motion, command: np.ndarray, h: float) -> np.ndarray:
     """Load on the gears (n), N m; ``command`` as it reaches the motor's gain, counts."""
     if rig.drive is None:
@@ -343,7 +268,7 @@ def _known(rig: Rig, parts: Assembly, form: ModalForm, laws: list[Effect], motio
         return _between(motion.angle @ vector), _between(motion.speed @ vector)
 
     torques = {at: held_torque(rig, at, *between(at), load, before.get(at, 0.0), period)
-               for at in dict.fromkeys(_port_of(rig, e) for e in laws)}
+               for at in dict.fromkeys(part_of(rig, e) for e in laws)}
     for at, torque in torques.items():
         held, _, feed = _ports(rig, parts, form, port_vector(rig, parts, at), period, channels)
         forcing[:, :modes] += np.outer(torque, held)

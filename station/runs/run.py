@@ -250,18 +250,3 @@ class Run:
         known = {column.name: getattr(self, column.name) for column in COLUMNS}
         cut = {name: values[rows] for name, values in known.items() if values is not None}
         return replace(self, **cut, extra={name: values[rows] for name, values in self.extra.items()})
-
-    def rest_rows(self) -> int:
-        """How many of the first rows pass before reference or encoder moves."""
-        moved = (self.reference != self.reference[0]) | (self.encoder != self.encoder[0])
-        return int(np.argmax(moved)) if moved.any() else len(self)
-
-    def noise_sigma(self, channel: str = "accel", least_rows: int = 10) -> float | None:
-        """Standard deviation (counts) of a channel at rest before the test; None where that is too short.
-
-        Rounding to whole counts is part of it: a quiet channel may show 0.
-        """
-        values, rows = self.columns().get(channel), self.rest_rows()
-        if values is None or rows < least_rows:
-            return None
-        return float(np.std(values[:rows] - values[0], ddof=1))

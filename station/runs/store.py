@@ -153,7 +153,7 @@ def trim(path: str | os.PathLike[str], out: str | os.PathLike[str], begin: float
         raise UsageError(f"{path}: no two rows from {begin:g} to {end:g} s; it goes from {run.t[0]:g} to "
                          f"{run.t[-1]:g} s")
     cut = run.slice(int(rows[0]), int(rows[-1]) + 1)
-    if rows[0] > 0 and cut.rest_rows() < 2:
+    if rows[0] > 0 and any(values[1] != values[0] for values in (cut.reference, cut.encoder)):
         raise UsageError(f"{path}: at {begin:g} s the arm moves; begin the cut where reference and encoder rest")
     made = {"file": source.name, "sha256": hashlib.sha256(source.read_bytes()).hexdigest(),
             "from": float(cut.t[0]), "to": float(cut.t[-1])}

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 
-from station.estimation.constants import BEGIN, base_fit, cooled, searched, settled, unknown
+from station.estimation.constants import PRIOR_SHARE, base_fit, cooled, searched, settled, unknown
 from station.estimation.dataset import canonical_order, dataset
 from station.estimation.least_squares import fit
 from station.estimation.likelihood import Weighing
@@ -59,7 +59,7 @@ def test_how_much_runs_differ_is_found_wherever_the_fit_begins() -> None:
         predictor = Predictor(data, observers(data.rig, data.noise[0]), pool)
         found = base_fit(predictor)
         space = found.space
-        alike = Weighing(BEGIN * predictor.counts, 1.0)
+        alike = Weighing(PRIOR_SHARE * predictor.counts, 1.0)
         shut, again = (settled(predictor, fit(predictor, space, begun, space.mean, tolerance=1.0))
                        for begun in (alike, unknown(predictor)))
     for other in (shut, again):

@@ -122,24 +122,6 @@ def test_a_slice_keeps_time_every_column_and_metadata():
         np.testing.assert_array_equal(part.columns()[name], values[5:25])
 
 
-def test_rest_ends_where_reference_or_encoder_first_moves():
-    reference, encoder = np.zeros(30), np.full(30, 7.0)
-    reference[12:] = 50.0
-    assert Run(name="made", **plain(reference=reference, encoder=encoder)).rest_rows() == 12
-    encoder[9:] = 8.0
-    assert Run(name="made", **plain(reference=reference, encoder=encoder)).rest_rows() == 9
-    assert Run(name="made", **plain()).rest_rows() == 30
-
-
-def test_noise_is_taken_from_the_rest_alone():
-    accel = np.where(np.arange(30) < 20, np.arange(30) % 2, 1000.0)
-    reference = np.where(np.arange(30) < 20, 0.0, 50.0)
-    run = Run(name="made", **plain(accel=accel, reference=reference))
-    assert run.noise_sigma() == pytest.approx(0.5 * np.sqrt(20 / 19), rel=1e-12)
-    assert run.noise_sigma(least_rows=21) is None
-    assert Run(name="made", **plain()).noise_sigma() is None
-
-
 @pytest.mark.parametrize(("entries", "words"), [
     ({"command_row": 1}, "command_row"), ({"command_row": -9}, "command_row"), ({"start": "thrown"}, "start"),
     ({"controller": []}, "controller"), ({"accel_zero": float("nan")}, "accel_zero"),

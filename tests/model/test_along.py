@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from station.model import stepper
+from station.model.along import axis_load, effective_command
 from station.model.assembly import assemble
 from station.model.effects import effect_class
-from station.model.load import axis_load, effective_command
 from station.model.simulate import build, initial_state
 from station.rig import Rig
 from tests.truth import RIGID_AXIS, SFLR
