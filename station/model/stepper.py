@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from station.model.compiled import call_law, element, kernel, njit
+from station.model.compiled import call_law, element, kernel
 
 COMMAND, TORQUE, FRICTION, GAP, SPRING, ACCEL_INPUT, ACCEL_FILTER, ACCEL_COUNTS, ENCODER = range(9)
 STAGES = 9
@@ -200,20 +200,6 @@ def _joint_torque(laws, port, stiffness, damping, deflection, speed):
     if engaged:
         torque += damping * speed
     return torque
-
-
-@njit(cache=True, nogil=True)
-def law_along(law, arguments, states, x, v, w, h, out):
-    """One law, by its address, along arrays (n); its states are carried from row to row."""
-    for i in range(out.size):
-        out[i] = call_law(law, x[i], v[i], w[i], element(arguments, 0), element(states, 0), h)
-
-
-@njit(cache=True, nogil=True)
-def joint_along(laws, stiffness, damping, deflection, rate, out):
-    """Torque of a joint, port 0 of ``laws``, along arrays (n), N m."""
-    for i in range(out.size):
-        out[i] = _joint_torque(laws, 0, stiffness, damping, deflection[i], rate[i])
 
 
 @kernel(forceinline=True)
@@ -540,6 +526,32 @@ def ticks(plan, state, controller, reference, command, closed, command_row, offs
     if rounding == ALL:
         for row in range(rows):
             encoder[row], accel[row] = seen_encoder[row], seen_accel[row]
+
+
+@kernel()
+def _law_along(law, arguments, states, x, v, w, h, out):
+    for i in range(out.size):
+        out[i] = call_law(law, x[i], v[i], w[i], element(arguments, 0), element(states, 0), h)
+
+
+@kernel()
+def _joint_along(laws, stiffness, damping, deflection, rate, out):
+    for i in range(out.size):
+        out[i] = _joint_torque(laws, 0, stiffness, damping, deflection[i], rate[i])
+
+
+def law_along(law, arguments, states, x, v, w, h):
+    """One law, by its address, along arrays (n); its states are carried from row to row."""
+    out = np.empty(len(x))
+    _law_along(law, arguments, states, x, v, w, h, out)
+    return out
+
+
+def joint_along(laws, stiffness, damping, deflection, rate):
+    """Torque (n) of a joint, port 0 of ``laws``, along arrays (n), N m."""
+    out = np.empty(len(deflection))
+    _joint_along(laws, stiffness, damping, deflection, rate, out)
+    return out
 
 
 def run_ticks(plan, state, controller, reference, command, closed, command_row, offset, rounding, round_command,
