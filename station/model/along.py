@@ -65,9 +65,9 @@ def axis_load(rig: Rig, command: np.ndarray, angle: np.ndarray, speed: np.ndarra
 def law_values(rig: Rig, effect: Effect, x: np.ndarray | float, v: np.ndarray | float = 0.0,
                w: np.ndarray | float = 0.0, h: float | None = None) -> np.ndarray:
     """An effect's own law along arrays (n), its states carried from row to row; see station.model.effects.base."""
-    rows = (np.ascontiguousarray(row, dtype=float) for row in np.atleast_1d(*np.broadcast_arrays(x, v, w)))
+    x, v, w = (np.ascontiguousarray(row, dtype=float) for row in np.atleast_1d(*np.broadcast_arrays(x, v, w)))
     return stepper.law_along(address(type(effect).law), np.array([*effect.arguments(rig), 0.0]),
-                             np.zeros(max(effect.states, 1)), *rows, rig.period if h is None else h)
+                             np.zeros(max(effect.states, 1)), x, v, w, rig.period if h is None else h)
 
 
 def true_encoder(rig: Rig, reading: np.ndarray) -> np.ndarray:
@@ -91,8 +91,8 @@ def joint_torque(rig: Rig, at: str, deflection: np.ndarray, rate: np.ndarray, h:
     joint = getattr(rig, at)
     laws = [e for stage in (Stage.GAP, Stage.SPRING) for e in rig.effects if e.at == at and e.stage is stage]
     table, first, arguments, states = slots(rig, laws, (at,))
-    rows = (np.ascontiguousarray(row, dtype=float) for row in (deflection, rate))
-    return stepper.joint_along((table, first, arguments, np.zeros(states + 1), h), joint.stiffness, joint.damping, *rows)
+    x, v = (np.ascontiguousarray(row, dtype=float) for row in (deflection, rate))
+    return stepper.joint_along((table, first, arguments, np.zeros(states + 1), h), joint.stiffness, joint.damping, x, v)
 
 
 def held_torque(rig: Rig, at: str, angle: np.ndarray, speed: np.ndarray, load: np.ndarray,
