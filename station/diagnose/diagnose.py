@@ -34,7 +34,15 @@ from station.diagnose.result import (
     Wrong,
 )
 from station.diagnose.selection import EFFORTS, Selection, fitted, select
-from station.diagnose.thresholds import FEW, NOISE, OUTSIDE, VARIES
+from station.diagnose.thresholds import (
+    FEW,
+    NOISE,
+    OUTSIDE,
+    SHOWN_COUNTS,
+    SHOWN_SETTLING,
+    SHOWN_SHARE,
+    VARIES,
+)
 from station.diagnose.validation import (
     contradicted,
     gain,
@@ -51,7 +59,7 @@ from station.diagnose.verdict import Stated, stated, verdict
 from station.errors import UsageError, WorkError
 from station.estimation.constants import refined
 from station.estimation.dataset import canonical_order, dataset
-from station.estimation.least_squares import Fit
+from station.estimation.least_squares import CANNOT_SIMULATE, DIVERGED, Fit
 from station.estimation.observer import observers
 from station.estimation.parameters import Causes, Key
 from station.estimation.prediction import SEARCH, Predictor, predict_run
@@ -75,7 +83,7 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
 
     The same runs give the same answer, whatever their order, the number of threads or the linear algebra's: runs are
     taken in the order of their content, and linear algebra by one thread.  UsageError for an unknown effort; WorkError
-    where the runs cannot be used (rate, no motion).
+    where the runs cannot be used (rate, columns), or not be simulated.
     """
     begun = time.perf_counter()
     if effort not in EFFORTS:
@@ -102,7 +110,10 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     runs, windows = _usable(rig, given)
     data = dataset(rig, runs, windows)
     predictor = Predictor(data, observers(data.rig, data.noise[0]), pool, *EFFORTS[effort].accuracies)
-    search = select(predictor, EFFORTS[effort], report)
+    try:
+        search = select(predictor, EFFORTS[effort], report)
+    except DIVERGED:
+        raise WorkError(f"{rig.name}: {CANNOT_SIMULATE}") from None
     report("drawing the data again", 0.88)
     found = odds(search)
     spoken = by_law(found)
@@ -119,9 +130,9 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     before = simulate_runs(data, nothing.space, zero, data.own)
     refit = simulate_unseen(predictor, left_out[frozenset()])
     after = simulate_unseen(predictor, left_out[said.causes]) if said.causes else refit
-    names = [run.name for run in runs]
+    names, parts = [run.name for run in runs], windows or [slice(None)] * len(runs)
     ahead = (predicted_ahead(predictor, nothing, nominal=True), predicted_ahead(predictor, left_out[said.causes]))
-    bought = gain(data, names, before, after, ahead)
+    bought = gain(data, names, before, after, ahead, parts)
     densities = {keys: log_densities(predictor, search.weighing, fits) for keys, fits in left_out.items()}
     gains = densities[said.causes] - densities[frozenset()]
     relieved = (relief(left_out[frozenset()], left_out[said.causes]) + search.clock_score(best.space.hypothesis)
@@ -143,7 +154,8 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     extended = best.space.rig_at(best.x) if causes else nothing.space.rig_at(nothing.x)
     refit_rig = nothing.space.rig_at(nothing.x)
     shown: list[Simulation | None] = list(after) if causes else [None] * len(runs)
-    comparisons = [RunComparison(run, b, r, a) for run, b, r, a in zip(runs, before, refit, shown, strict=True)]
+    comparisons = [RunComparison(run, b, r, a, part=part)
+                   for run, b, r, a, part in zip(runs, before, refit, shown, parts, strict=True)]
     report("choosing the next experiment", 0.96)
     choice = choose(search, found, decision)
     decided = decision in ("explained", "nothing_missing") and len(given) >= FEW
@@ -153,14 +165,15 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
         OwnOfRun(run=name, share=own[2], constant=own[3]) for name, own in zip(names, best.own.tolist(), strict=True)]
     between = BetweenRuns(share=share, constant=constant, runs=differing)
     diagnosis = Diagnosis(
-        verdict=decision, wrong=_wrong(runs, before, data.noise), causes=causes, gain=bought,
+        verdict=decision, wrong=_wrong(comparisons, data.noise), causes=causes, gain=bought,
         next_experiment=with_word(None if decided else choice.next, decision, told, said.causes, known),
         outside=0.0 if left.is_noise else OUTSIDE,
         disturbance=_disturbance(predictor, [data.rig, refit_rig, extended]), between_runs=between, rig=rig.name,
         effort=effort,
         runs=[RunFile(run=run.name) for run in given],
         ranking=[Ranked(effect=r.effect, at=r.at, probability=min(r.probability, 1.0), note=r.note) for r in ranking])
-    drawn = runs[:1] if windows else [run for run, warm in zip(runs, data.warm, strict=True) if not warm]
+    drawn = [run for run, warm in zip(runs, data.warm, strict=True) if not warm]
+    drawn = [replace(run, name=given[0].name) for run in drawn[:1]] if windows else drawn
     draw = partial(_drawn, refit_rig, extended, drawn, [(c.effect, c.at) for c in causes])
     report("done", 1.0)
     return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, ranking, draw, constants,
@@ -188,7 +201,7 @@ def _in_order_of(found: DiagnosisResult, names: list[str], order: list[int], sec
     place = {name: order[k] for k, name in reversed(list(enumerate(names)))}
 
     def by_run(row: object) -> int:
-        return place.get(str(row).rsplit(" (", 1)[0], place.get(str(row), 0))
+        return place.get(str(row), place.get(str(row).rsplit(" (", 1)[0], 0))    # of one run "(first half)"
 
     diagnosis = found.diagnosis.model_copy(update={
         "runs": sorted(found.diagnosis.runs, key=lambda r: by_run(r.run)),
@@ -224,22 +237,23 @@ def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice] | Non
             [slice(0, half), slice(half, None)])
 
 
-def _wrong(runs: Sequence[Run], before: Sequence[Simulation], noise: Sequence[float]) -> list[Wrong]:
+def _wrong(comparisons: Sequence[RunComparison], noise: Sequence[float]) -> list[Wrong]:
     """What the nominal rig gets wrong, the largest first; beside an nrmse stands the floor that noise alone sets."""
     found = []
-    for run, simulation in zip(runs, before, strict=True):
+    for c in comparisons:
+        run, simulation, rows = c.run, c.before, c.rows
         count = 100.0 / max(np.ptp(run.reference), 1.0)
-        measured, simulated = step_measures(run, run.encoder), step_measures(run, simulation.encoder)
+        measured, simulated = (step_measures(run, encoder, c.part) for encoder in (run.encoder, simulation.encoder))
         for name in measured:
             m, s = measured[name], simulated[name]
-            if name == "overshoot_percent" and m is not None and s is not None and abs(m - s) > 1.5 * count:
+            if name == "overshoot_percent" and m is not None and s is not None and abs(m - s) > SHOWN_COUNTS * count:
                 found.append((abs(m - s), Wrong(run=run.name, channel="encoder", measure=name, simulated=s,
                                                 measured=m)))
-            elif name == "settling_time" and m != s and (m is None or s is None or abs(m - s) > 0.05):
+            elif name == "settling_time" and m != s and (m is None or s is None or abs(m - s) > SHOWN_SETTLING):
                 found.append((0.0, Wrong(run=run.name, channel="encoder", measure=name, simulated=s, measured=m)))
         if not measured:
-            peak_m, peak_s = float(np.max(np.abs(run.encoder))), float(np.max(np.abs(simulation.encoder)))
-            if abs(peak_m - peak_s) > 2.0:
+            peak_m, peak_s = (float(np.max(np.abs(encoder[rows]))) for encoder in (run.encoder, simulation.encoder))
+            if abs(peak_m - peak_s) > SHOWN_COUNTS:
                 found.append((100.0 * abs(peak_m - peak_s) / max(peak_m, 1.0),
                               Wrong(run=run.name, channel="encoder", measure="peak_counts", simulated=peak_s,
                                     measured=peak_m)))
@@ -248,11 +262,12 @@ def _wrong(runs: Sequence[Run], before: Sequence[Simulation], noise: Sequence[fl
             m, s = getattr(run, channel), getattr(simulation, channel)
             if m is None or s is None:
                 continue
-            misfit = nrmse(m, s)
-            if 0.1 < misfit < np.inf:       # of a channel that never moves there is none
-                worst = int(np.argmax(np.abs(m - s)))
+            misfit = nrmse(m[rows], s[rows])
+            if SHOWN_SHARE < misfit < np.inf:       # of a channel that never moves there is none
+                worst = int(np.argmax(np.abs(m - s) * rows))
                 found.append((misfit, Wrong(run=run.name, channel=channel, measure="nrmse", simulated=misfit,
-                                            measured=floor(m, sigma), where=f"largest at t = {run.t[worst]:.3f} s")))
+                                            measured=floor(m[rows], sigma),
+                                            where=f"largest at t = {run.t[worst]:.3f} s")))
     return [wrong for _, wrong in sorted(found, key=lambda row: -row[0])]
 
 
@@ -264,15 +279,14 @@ def _ranking(search: Selection, found: Odds, densities: dict[Causes, np.ndarray]
                               *sorted(found.causes)]):
         holders = sorted((k for k in search.fits if key in k), key=lambda k: (len(k), -search.score(search.fits[k])))
         if not holders:
-            rows.append(RankedCause(key[0], key[1], found.causes.get(key, 0.0), 0.0, None, {}, "by an equivalence"))
+            rows.append(RankedCause(key[0], key[1], found.causes.get(key, 0.0), 0.0, None, "by an equivalence"))
             continue
         fitted = search.fits[holders[0]]
         gained = (unseen_gain(search.weighing, densities[holders[0]] - densities[frozenset()])
                   if holders[0] in densities and holders[0] else None)
         bought = 2.0 * (search.evidence(fitted) - search.evidence(nothing))
         rows.append(RankedCause(key[0], key[1], found.causes.get(key, 0.0), bought, gained,
-                                estimates(fitted)[0].get(key, {}),
-                                note="" if len(holders[0]) == 1 else f"as part of {fitted.space.hypothesis.label}"))
+                                "" if len(holders[0]) == 1 else f"as part of {fitted.space.hypothesis.label}"))
     return sorted(rows, key=lambda r: (-round(r.probability, 6), -r.delta_chi2))
 
 
@@ -293,9 +307,10 @@ def _disturbance(predictor: Predictor, rigs: Sequence[Rig]) -> Disturbance:
 def _notes(rig: Rig, search: Selection, left: Remainder, said: Stated, spoken: Odds, gains: np.ndarray) -> list[str]:
     data = search.predictor.data
     notes = [f"{len(search.fits)} sets of causes fitted to {len(data.runs)} runs",
-             f"noise at rest: encoder {data.noise[0]:.2f}, accelerometer {data.noise[1]:.2f} counts",
+             f"noise at rest: encoder {data.noise[0]:.2f}"
+             + (f", accelerometer {data.noise[1]:.2f}" if data.has_accel else "") + " counts",
              f"temperature of the likelihood: {search.weighing.temperature:.2f}; independent errors: "
-             f"{search.weighing.independent.sum():.0f} of {data.counts.sum():.0f}"]
+             f"{search.weighing.independent.sum():.0f} of {search.predictor.counts.sum():.0f}"]
     if said.causes:
         notes.append(f"log density of runs left out, constants' included, by the causes: {gains.sum():+.1f}, standard "
                      f"error {standard_error(gains):.1f}")

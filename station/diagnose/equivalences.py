@@ -35,19 +35,15 @@ from pydantic import ValidationError
 from station.diagnose.candidates import candidates
 from station.diagnose.odds import Odds, normalised
 from station.diagnose.result import NextExperiment, Rival, Verdict
-from station.diagnose.thresholds import LOG_PRIOR, LOG_PRIOR_PARAMETER, SURE
+from station.diagnose.thresholds import BELIEVABLE, LISTED, LOG_PRIOR, LOG_PRIOR_PARAMETER, SURE
 from station.estimation.dataset import Dataset
 from station.estimation.parameters import WIDE, Key
 from station.model.effects import Effect, Stage, effect_class
 from station.model.units import UNITS, UnknownUnitError, dimension, powers
 from station.rig import Rig
 
-BELIEVABLE = 1e-3
-"""Odds beforehand, against the set named, from which another set of wrong constants counts as one side."""
-FLOOR = 1e-3
-"""Least probability stated for a rival that no data could rule out: nobody knows prior odds better than that."""
-LISTED, LONGEST_LIST = 0.005, 5
-"""Least probability of a rival that is listed without an equivalence, and how many are."""
+LONGEST_LIST = 5
+"""Rivals listed without an equivalence, at most."""
 INPUT, ENCODER = ("input_delay", "amplifier"), ("encoder_delay", "encoder")
 ACCEL, CLOCK = ("accelerometer_delay", "accelerometer"), ("clock_scale", "clock")
 TILT, RIPPLE = ("gravity_tilt", "base"), ("torque_ripple", "motor")
@@ -392,7 +388,8 @@ def rivals(odds: Odds, named: frozenset[Key], cause: Key, known: Sequence[Standi
     bound = bound_rivals(named, cause, known)
     likely = sorted((key for key in others if key not in bound and others[key] >= LISTED), key=lambda k: -others[k])
     found = [Rival(effect=k[0], at=k[1], probability=min(others[k], 1.0)) for k in likely[:LONGEST_LIST]]
-    found += [Rival(effect=k[0], at=k[1], probability=min(max(others.get(k, 0.0), FLOOR), 1.0)) for k in sorted(bound)]
+    found += [Rival(effect=k[0], at=k[1], probability=min(max(others.get(k, 0.0), BELIEVABLE), 1.0))
+              for k in sorted(bound)]
     return sorted(found, key=lambda rival: -rival.probability)
 
 

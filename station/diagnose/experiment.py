@@ -31,28 +31,20 @@ from station.diagnose.candidates import candidates
 from station.diagnose.odds import Odds
 from station.diagnose.result import NextExperiment, Prediction, Verdict
 from station.diagnose.selection import Selection
+from station.diagnose.thresholds import DECIDES, SETTLED, UNLIKELY, VISIBLE
 from station.diagnose.trials import OVERSHOOT, Trial, most, trials
 from station.estimation.least_squares import Fit
 from station.estimation.likelihood import NUISANCES
 from station.estimation.noise import ACCEL_DEFAULT, QUANTISATION, correlation_time, rounding_shares
+from station.estimation.parameters import Key, prior_covariance
 from station.estimation.prediction import SEARCH
 from station.model.effects import Effect, Stage, catalogue
 from station.model.simulate import Model, Simulation, build, simulate_model
 from station.rig import Rig
 from station.runs.run import Run
 
-Key = tuple[str, str]
-
 LEADING = 4
 """Sets of causes that are weighed."""
-UNLIKELY = 0.01
-"""Of the best set's probability: below it a set is no rival."""
-SETTLED = 0.95
-"""Probability from which on the best set of causes has no rival worth a test."""
-DECIDES = 9.0
-"""D from which on a test is worth running: the odds are then expected to move by a factor of ninety."""
-SHOWS = 25.0
-"""chi^2 at which an effect shows."""
 LOOKED = 8
 """Tests whose forecasts are worked out with their uncertainty, where rivals are to be told apart."""
 FAR = 300.0
@@ -192,7 +184,7 @@ class Planner:
         return found
 
     def scales(self, model: Model, run: Run, mean: np.ndarray) -> np.ndarray:
-        """Weight of every sample (channels, n): see ``problem`` for shares and for what rounding feeds back."""
+        """Weight of every sample (channels, n): see ``dataset`` for shares; rounding is fed back."""
         rounded = rounding_shares(mean[0])
         share = np.stack([rounded, np.ones_like(rounded)])[: self.channels]
         variance = self.sigma**2
@@ -345,7 +337,7 @@ class Blocks:
     def gram(self) -> np.ndarray:
         """(m, m) what the effects change that constants within their uncertainty (unit prior) do not."""
         inner = np.eye(len(self.constants)) + self.constants
-        return (self.effects - self.cross.T @ np.linalg.solve(inner, self.cross)) / SHOWS
+        return (self.effects - self.cross.T @ np.linalg.solve(inner, self.cross)) / VISIBLE
 
 
 def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]], drawn: Sequence[Belief] = (),
@@ -482,7 +474,7 @@ def first_test(rig: Rig) -> Choice:
     rig = rig.meshed()
     paths = list(rig.constants())
     nominal = np.array([rig.constants()[path] for path in paths])
-    root = np.linalg.cholesky(rig.log_covariance(paths))
+    root = np.linalg.cholesky(prior_covariance(rig, paths))
 
     def model(x: np.ndarray) -> Model:
         return _built(rig.with_constants(dict(zip(paths, nominal * np.exp(root @ x), strict=True))))

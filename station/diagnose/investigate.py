@@ -2,12 +2,12 @@
 
 This knows of no serial line: whoever calls it says how a test is run.
 
-When it ends (``ending``): not before LEAST runs, since what one or two runs say, later ones overturn.  Then as soon as
+When it ends (``ending``): not before FEW runs, since what one or two runs say, later ones overturn.  Then as soon as
 two diagnoses in a row agree (the same causes, and the first of them did not find more wrong than the last) and the last
-is settled: one that explains, every cause at least SURE probable; or one that misses nothing and knows of no test that
-would show an effect which the runs so far could not have shown.  Or as soon as no test would tell the rivals apart,
-twice in a row; or when two diagnoses in a row, from PATIENCE runs on, agree that something is wrong which the catalogue
-does not describe.  Or when the budget is spent.
+is settled: one that explains, every cause at least SETTLED probable; or one that misses nothing and knows of no test
+that would show an effect which the runs so far could not have shown.  Or as soon as no test would tell the rivals
+apart, twice in a row; or when two diagnoses in a row, from PATIENCE runs on, agree that something is wrong which the
+catalogue does not describe.  Or when the budget is spent.
 """
 
 from __future__ import annotations
@@ -18,16 +18,11 @@ from typing import Any, Literal
 
 from station.diagnose.experiment import first_test
 from station.diagnose.result import DiagnosisResult
+from station.diagnose.thresholds import FEW, PATIENCE, SETTLED
 from station.errors import UsageError, WorkError
 from station.rig import Rig
 from station.runs.run import Run
 
-LEAST = 3
-"""Runs before anything is settled."""
-PATIENCE = 4
-"""Runs before what the catalogue does not describe is given up."""
-SURE = 0.95
-"""Probability of every cause from which on a diagnosis is settled."""
 BUDGET = 8
 
 Test = dict[str, Any]
@@ -57,7 +52,7 @@ class Step:
         """Whether this diagnosis, were it not for how few runs there are, would need no other."""
         found = self.result.diagnosis
         if found.verdict == "explained":
-            return all(cause.probability >= SURE for cause in found.causes)
+            return all(cause.probability >= SETTLED for cause in found.causes)
         return found.verdict == "nothing_missing" and self.result.unseen == 0
 
 
@@ -86,12 +81,12 @@ def ending(steps: list[Step], budget: int) -> tuple[Outcome, str] | None:
     verdict = last.result.diagnosis.verdict
     agree = len(steps) > 1 and steps[-2].accused == last.accused and (
         steps[-2].result.diagnosis.verdict in (verdict, "ambiguous", "not_enough_data"))
-    if len(steps) >= LEAST and agree:
+    if len(steps) >= FEW and agree:
         if last.settled:
             return "decided", "two diagnoses in a row agree, and nothing is left open"
         if verdict in ("unexplained", "partly_explained") and len(steps) >= PATIENCE:
             return "hopeless", "more is wrong than the catalogue describes, and further tests do not change that"
-    if len(steps) >= LEAST and _stuck(last) and _stuck(steps[-2]):
+    if len(steps) >= FEW and _stuck(last) and _stuck(steps[-2]):
         return "hopeless", last.result.diagnosis.next_experiment.why
     if len(steps) >= budget:
         return "budget", f"{budget} run{'s are' if budget > 1 else ' is'} all that was allowed"

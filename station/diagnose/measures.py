@@ -26,18 +26,19 @@ def floor(measured: np.ndarray, sigma: float) -> float:
     return math.sqrt(len(measured) * (sigma**2 + QUANTISATION)) / spread if spread > 0.0 else math.inf
 
 
-def step_measures(run: Run, encoder: np.ndarray) -> dict[str, float | None]:
-    """What a step test is judged by; empty for other tests."""
-    if step_row(run.reference) is None or run.open_loop:
+def step_measures(run: Run, encoder: np.ndarray, part: slice = slice(None)) -> dict[str, float | None]:
+    """What a step test is judged by, of ``part`` of its rows; empty for other tests."""
+    reference, encoder = run.reference[part], encoder[part]
+    if step_row(reference) is None or run.open_loop:
         return {}
-    return {"overshoot_percent": overshoot(run.reference, encoder),
-            "settling_time": settling_time(run.reference, encoder, run.t)}
+    return {"overshoot_percent": overshoot(reference, encoder),
+            "settling_time": settling_time(reference, encoder, run.t[part])}
 
 
-def step_figures(run: Run, encoder: np.ndarray) -> dict[str, float | None]:
+def step_figures(run: Run, encoder: np.ndarray, part: slice = slice(None)) -> dict[str, float | None]:
     """The same with the rise from 10 to 90 %."""
-    found = step_measures(run, encoder)
-    return {**found, "rise_time": rise_time(run.reference, encoder, run.t)} if found else {}
+    found = step_measures(run, encoder, part)
+    return {**found, "rise_time": rise_time(run.reference[part], encoder[part], run.t[part])} if found else {}
 
 
 def repeats(runs: Sequence[Run]) -> list[dict[str, float]]:
@@ -66,6 +67,8 @@ def _same_test(one: Run, other: Run) -> bool:
     rows, longest = sorted((len(one.t), len(other.t)))
     if one is other:
         return True
+    if one.t is other.t:        # two parts of one run
+        return False
     if 2 * rows < longest or one.metadata.controller != other.metadata.controller:
         return False
     if one.open_loop:

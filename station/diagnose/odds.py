@@ -18,7 +18,7 @@ from scipy.special import stdtrit
 
 from station.diagnose.result import Estimate
 from station.diagnose.selection import Selection
-from station.diagnose.thresholds import BEYOND, CLOSE, OUTSIDE, VARIES
+from station.diagnose.thresholds import BEYOND, CLOSE, MENTION, OUTSIDE, VARIES
 from station.estimation.dataset import SEVERAL
 from station.estimation.identifiability import parameter_states
 from station.estimation.least_squares import Fit
@@ -113,8 +113,8 @@ def by_law(found: Odds) -> Odds:
     """The odds by which causes are stated: of an effect at one of several places the law's own, whichever its place.
 
     Where parts hardly move against each other, friction at one of them is friction at the other, and the runs say
-    less of the place than of the law.  It stands at the first of its places, in the order of its class, that is at
-    least half as probable as the likeliest; the others are rivals.
+    less of the place than of the law.  It stands at the first of its places, in the order of its class, whose odds
+    against the likeliest are MENTION at least; the others are rivals.
     """
     for name, at in sorted(found.sets[0][0]):
         best, sets = found.sets[0][0], dict(found.sets)
@@ -122,7 +122,7 @@ def by_law(found: Odds) -> Odds:
         if len(places) < 2 or sum(other == name for other, _ in best) > 1:
             continue
         first = next(key for site in effect_class(name).sites
-                     if places.get(key := (name, site), 0.0) >= 0.5 * max(places.values()))
+                     if places.get(key := (name, site), 0.0) >= MENTION * max(places.values()))
         moved = best - {(name, at)} | {first}
         if moved not in sets:
             first, moved = (name, at), best

@@ -49,7 +49,8 @@ def remainder(predictor: Predictor, found: Fit) -> Remainder:
         size.append((np.sum(e * e, axis=1) / independent - 1.0) / spread)
         rows = e.shape[1] // SPAN * SPAN
         sums = e[:, :rows].reshape(len(e), -1, SPAN).sum(axis=2) ** 2
-        expected = np.minimum(np.sqrt(share[:, :rows]).reshape(len(e), -1, SPAN).sum(axis=2) ** 2, SPAN)
+        shares = share[:, :rows].reshape(len(e), -1, SPAN)
+        expected = np.minimum(np.sqrt(shares).sum(axis=2) ** 2, np.count_nonzero(shares, axis=2))
         ratio = sums.sum(axis=1) - expected.sum(axis=1)
         slow.append(ratio / np.sqrt(np.maximum(3.0 * np.sum(expected**2, axis=1), 1e-9)))
     return Remainder(np.array(size), np.array(slow))

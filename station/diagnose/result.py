@@ -191,10 +191,20 @@ class RunComparison:
     refit: Simulation
     after: Simulation | None
     held_out: bool = True
+    part: slice = field(default_factory=lambda: slice(None))
+    """The rows that it is judged by: of a run that is alone one half."""
+
+    @property
+    def rows(self) -> np.ndarray:
+        """(n) rows of that part that were logged."""
+        rows = np.zeros(len(self.run), dtype=bool)
+        rows[self.part] = self.run.logged[self.part]
+        return rows
 
     def errors(self, channel: str) -> list[float | None]:
         """nrmse before, re-fitted and after; None where there is no such simulation or the channel never moves."""
-        found = [nrmse(getattr(self.run, channel), getattr(s, channel)) if s is not None else math.inf
+        rows = self.rows
+        found = [nrmse(getattr(self.run, channel)[rows], getattr(s, channel)[rows]) if s is not None else math.inf
                  for s in (self.before, self.refit, self.after)]
         return [error if math.isfinite(error) else None for error in found]
 
@@ -207,10 +217,9 @@ class RankedCause:
     at: str
     probability: float
     delta_chi2: float
-    """Fall of -2 ln L, alone or as part of its note's set."""
+    """Twice what it adds to the log evidence, alone or as part of its note's set."""
     held_out_gain: float | None
     """Share of the re-fitted rig's error on unseen runs that it takes away, by fits that left them out."""
-    parameters: dict[str, Estimate]
     note: str = ""
 
 

@@ -133,7 +133,7 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
     parent = base_fit(predictor)
     search = Selection(predictor, effort, parent.weighing)
     search.keep(parent)
-    parent = _with_derivatives(search, parent)
+    parent = _with_derivatives(search, search.fits[parent.key])
     pool = candidates(predictor.data.rig)
     climbed: set[Causes] = set()
     while parent.key not in climbed:

@@ -42,3 +42,32 @@ rules that predict alike within the error of the comparison the simpler one is t
 The Elements of Statistical Learning, 2nd ed. 2009, section 7.10)."""
 FEW = 3
 """Runs below which even a settled verdict asks for another test."""
+PATIENCE = FEW + 1
+"""Runs before what the catalogue does not describe is given up: those and one that was chosen to show more."""
+SETTLED = 0.95
+"""Probability from which on a set of causes has no rival worth a test: the level of all intervals."""
+UNLIKELY = 0.01
+"""Of the best set's probability: below it a set is no rival that a test is chosen against; one that DECIDES would have
+made it as likely at best."""
+DECIDES = 9.0
+"""chi squared between hypotheses from which on a test is worth running: the odds are expected to move by e^4.5 = 90."""
+MENTION = 1.0 / 3.0
+"""Odds of a place against the likeliest from which on the first of a law's places is kept: a factor below three is
+"not worth more than a bare mention" (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995)."""
+SEEN = 0.5
+"""Share of the catalogue's effects that would have shown from which on nothing is missing: more than would not."""
+BELIEVABLE = 1e-3
+"""Odds beforehand, against the set named, from which another set of wrong constants is one side of an equivalence, and
+the least probability stated for a rival that no data could rule out: nobody knows prior odds better than that."""
+LISTED = 0.005
+"""Least probability of a rival that is listed: what is rounded to 1 %."""
+EXPLAINABLE = 1.2
+"""Times what noise alone leaves from which on an error holds something to explain: a fifth is what a run of 500
+independent readings leaves open of its variance, by three sigma (3 sqrt(2/500))."""
+SHOWN_COUNTS = 1.5
+"""Counts by which an overshoot or a peak must differ to be listed as wrong: of two readings, each rounded by half a
+count, half a count more than both can make."""
+SHOWN_SETTLING = 0.05
+"""Seconds by which settling times must: half a swing of a rig of 10 Hz, inside the band or not."""
+SHOWN_SHARE = 0.1
+"""Error, as a share of the signal, from which on it is listed: a smaller one is hidden by the lines of a drawing."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
 from station.diagnose.measures import floor, nrmse, repeats, step_figures
 from station.diagnose.result import ChannelGain, Gain, RunGain
-from station.diagnose.thresholds import UNSEEN
+from station.diagnose.thresholds import EXPLAINABLE, UNSEEN
 from station.estimation.dataset import Dataset
 from station.estimation.least_squares import DIVERGED, Fit, fit, own_steps
 from station.estimation.likelihood import Weighing, cost, nuisance_precision
@@ -94,8 +95,9 @@ def leave_each_out(predictor: Predictor, weighing: Weighing, found: Fit, iterati
         weights = np.ones(len(predictor.data.runs))
         weights[r] = 0.0
         with suppress(*DIVERGED):
-            return fit(predictor, found.space, weighing, found.x, found.own, runs=weights,
+            left = fit(predictor, found.space, weighing, found.x, found.own, runs=weights,
                        jacobian=found.jacobian, parallel=False, iterations=iterations, renewals=2).light
+            return replace(left, x=found.space.with_place_of(left.x, found.x, r))
         return found.light
 
     return list(predictor.pool.map(without, range(len(predictor.data.runs))))
@@ -214,8 +216,12 @@ def contradicted(gains: np.ndarray, relieved: float) -> bool:
 
 
 def gain(data: Dataset, names: Sequence[str], before: Sequence[Simulation], after: Sequence[Simulation],
-         ahead: tuple[Sequence[dict[str, float]], Sequence[dict[str, float]]] | None = None) -> Gain:
-    """The diagnosis file's gain: nrmse over all held-out runs and the share of the explainable error removed."""
+         ahead: tuple[Sequence[dict[str, float]], Sequence[dict[str, float]]] | None = None,
+         parts: Sequence[slice] | None = None) -> Gain:
+    """The diagnosis file's gain: nrmse over all held-out runs and the share of the explainable error removed.
+
+    ``parts``: the rows of each run that steps are judged by, by default all.
+    """
     found, fractions, runs = {}, [], [RunGain(run=name) for name in names]
     for c, channel in enumerate(CHANNELS[: data.channels]):
         error = {"before": 0.0, "after": 0.0}
@@ -232,7 +238,7 @@ def gain(data: Dataset, names: Sequence[str], before: Sequence[Simulation], afte
             spread += size
             error["before"] += b * b * size
             error["after"] += a * a * size
-            if b > 1.2 * least:
+            if b > EXPLAINABLE * least:
                 counted = True
                 explained += b - a
                 explainable += b - least
@@ -241,10 +247,11 @@ def gain(data: Dataset, names: Sequence[str], before: Sequence[Simulation], afte
                                          nrmse_after=float(np.sqrt(error["after"] / spread)))
         if counted:
             fractions.append(explained / explainable)
-    between = repeats(data.runs)
+    between, parts = repeats(data.runs), parts or [slice(None)] * len(runs)
     for r, (run, old, new) in enumerate(zip(data.runs, before, after, strict=True)):
         runs[r].repeats = between[r]
-        runs[r].measured, runs[r].before, runs[r].after = (step_figures(run, s.encoder) for s in (run, old, new))
+        runs[r].measured, runs[r].before, runs[r].after = (step_figures(run, s.encoder, parts[r])
+                                                           for s in (run, old, new))
         if ahead is not None:
             runs[r].ahead = {k: ChannelGain(nrmse_before=ahead[0][r][k], nrmse_after=ahead[1][r][k])
                              for k in ahead[0][r] if np.isfinite([ahead[0][r][k], ahead[1][r][k]]).all()}

@@ -9,7 +9,7 @@ from station.diagnose.equivalences import Standing
 from station.diagnose.odds import Odds
 from station.diagnose.result import Verdict
 from station.diagnose.screening import Screened
-from station.diagnose.thresholds import STABLE, SURE, VISIBLE
+from station.diagnose.thresholds import SEEN, STABLE, SURE, VISIBLE
 from station.estimation.parameters import Causes, Key
 
 
@@ -51,7 +51,7 @@ def verdict(said: Stated, told: Odds, screened: Sequence[Screened], is_noise: bo
             if one.candidate.effect is not None:
                 plain[one.candidate.key] = max(plain.get(one.candidate.key, 0.0), one.information)
         seen = sum(value > VISIBLE for value in plain.values())
-        return "nothing_missing" if seen >= 0.5 * len(plain) else "not_enough_data"
+        return "nothing_missing" if seen >= SEEN * len(plain) else "not_enough_data"
     if not is_noise and against:
         return "unexplained"
     if said.one_of:

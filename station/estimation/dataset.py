@@ -22,6 +22,8 @@ SEGMENT = 1.0
 """Length of the stretches that are drawn again when data are resampled, s: longer than an arm's errors remember."""
 SEGMENTS = 40
 """Most stretches in all runs together; they grow longer instead."""
+CLOCK_BIAS = 2e-5
+"""Least standard error of a clock's ratio: what receipt that is later at one end of a run than at the other feigns."""
 FINDS = 0.1
 """Horizon (s) of the observer that finds the state of a rig in motion.  Of a shorter one the base follows the encoder
 so stiffly that the beam's errors ring on as on a clamp; a longer one's base forgets late."""
@@ -96,7 +98,8 @@ class Dataset:
     @cached_property
     def offset_error(self) -> np.ndarray:
         """(runs) standard error of the offset as read, counts: of a loop that acts from the start on, one reading's."""
-        rows = [len(run) if warm else max(rest_rows(run), 1) for run, warm in zip(self.runs, self.warm, strict=True)]
+        rows = [max(int(seen[: len(run) if warm else rest_rows(run)].sum()), 1)
+                for run, seen, warm in zip(self.runs, self.logged, self.warm, strict=True)]
         return self.sigma[-1] / np.sqrt(rows) if self.has_accel else np.zeros(len(rows))
 
     @property
@@ -165,16 +168,20 @@ def canonical_order(runs: Sequence[Run]) -> list[int]:
 def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = None) -> Dataset:
     """Prepare runs, their gaps filled; ``windows``: the rows of each run that count (by default all that were logged).
 
-    WorkError: a run's rate is not the rig's.
+    A run that is given twice, for two parts of it, is one test of noise and clock.
+    WorkError: a run's rate is not the rig's, or some runs hold the accelerometer and this one does not.
     """
     runs = [run.filled(rig.sample_rate) for run in runs]
+    tests = list({id(run.t): run for run in runs}.values())
+    has_accel = rig.accelerometer is not None and any(run.accel is not None for run in runs)
     for run in runs:
+        if has_accel and run.accel is None:
+            raise WorkError(f"{run.name}: no accelerometer column, but other runs have one; leave out one or the other")
         if abs(run.sample_rate / rig.sample_rate - 1.0) > RATES:
             raise WorkError(f"{run.name}: sampled at {run.sample_rate:.6g} Hz, the rig at {rig.sample_rate:.6g} Hz")
     logged = tuple(run.logged for run in runs)
     kept = logged if windows is None else tuple(_within(w, rows) for w, rows in zip(windows, logged, strict=True))
-    encoder, accel, rows = noise_sigmas(list(runs))
-    has_accel = rig.accelerometer is not None and all(r.accel is not None for r in runs)
+    encoder, accel, rows = noise_sigmas(tests)
     meshed = uneven(rig.meshed())
     warm = tuple(_warm_rows(meshed, run, (encoder, accel) if has_accel else (encoder,)) for run in runs)
     kept = tuple(k & (np.arange(k.size) >= w) for k, w in zip(kept, warm, strict=True))
@@ -195,7 +202,7 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
         np.array([float(np.mean(r.encoder[rest_start(r)])) * rig.angle_per_count for r in runs]),
         np.array([float(np.mean(r.accel[: len(r) if w else max(rest_rows(r), 1)])) if has_accel else 0.0
                   for r, w in zip(runs, warm, strict=True)]), warm,
-        tuple(groups.index(z) for z in zero_ids), clock_evidence(runs), tuple(segment), np.array(owner))
+        tuple(groups.index(z) for z in zero_ids), clock_evidence(tests), tuple(segment), np.array(owner))
 
 
 def uneven(rig: Rig) -> Rig:
@@ -255,7 +262,7 @@ def clock_evidence(runs: Sequence[Run]) -> tuple[float, float] | None:
     """True over nominal sample period and its standard error, by regression of host_time on device_time.
 
     None where no run has both; a simulated device's virtual time is no clock.  The error is taken from the scatter of
-    the residuals and, since receipt is never early, is not allowed below 20 parts per million.
+    the residuals and, since receipt is never early, is not allowed below CLOCK_BIAS, however many runs there are.
     """
     slopes, weights = [], []
     for run in runs:
@@ -266,7 +273,7 @@ def clock_evidence(runs: Sequence[Run]) -> tuple[float, float] | None:
         slope = float(x @ y / (x @ x))
         spread = float(np.std(y - slope * x)) / math.sqrt(float(x @ x))
         slopes.append(slope)
-        weights.append(max(spread, 2e-5) ** -2)
+        weights.append(max(spread, CLOCK_BIAS) ** -2)
     if not slopes:
         return None
-    return float(np.average(slopes, weights=weights)), float(np.sum(weights)) ** -0.5
+    return float(np.average(slopes, weights=weights)), max(float(np.sum(weights)) ** -0.5, CLOCK_BIAS)

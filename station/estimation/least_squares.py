@@ -29,6 +29,9 @@ from station.rig import Rig
 
 DIVERGED = (ArithmeticError, np.linalg.LinAlgError)
 """What a fit raises that went where nothing simulates."""
+CANNOT_SIMULATE = ("these runs cannot be simulated with its constants, nor with others within their uncertainty; check "
+                   "the rig file")
+"""What is then said of a rig."""
 STEP = 1e-5
 """Finite-difference step in whitened or logarithmic coordinates: the root of a simulation's own relative error, which
 gives forward differences as many digits as they can have (Nocedal and Wright, Numerical Optimization, 2nd ed. 2006,
@@ -436,14 +439,14 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
     """Minimise the objective from ``x``; ``tolerance`` is the fall of it that ends the fit; ``to_the_end`` only if no
     more is expected, and with derivatives of where it ended.
 
-    Promised is what a step without damping would win of the objective's quadratic (the squared Newton decrement: Boyd
+    Expected is what a step without damping would win of the objective's quadratic (the squared Newton decrement: Boyd
     and Vandenberghe, Convex Optimization, 2004, section 9.5): in a long valley a damped step wins next to
     nothing wherever it is.
 
-    ``runs`` (runs): weights, of which 0 leaves a run out; its nuisances follow all the same.  ``jacobian`` (per run
-    (p + c, b, n)) starts the quick way; where it leads no further the derivatives are computed afresh, at most
-    ``renewals`` times.  ``first``: NEAR or FAR.  ``parallel`` spreads the work over the predictor's threads; not from
-    one of them.  ArithmeticError: the start does not simulate.
+    ``runs`` (runs): weights, of which 0 leaves a run out; then the prior alone moves what it has of its own.
+    ``jacobian`` (per run (p + c, b, n)) starts the quick way; where it leads no further the derivatives are computed
+    afresh, at most ``renewals`` times.  ``first``: NEAR or FAR.  ``parallel`` spreads the work over the predictor's
+    threads; not from one of them.  ArithmeticError: the start does not simulate.
     """
     data = predictor.data
     descent = _Descent(predictor, space, weighing, np.ones(len(data.runs)) if runs is None else runs, parallel)

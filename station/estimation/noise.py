@@ -47,22 +47,23 @@ def rest_start(run: Run) -> slice:
 def noise_sigmas(runs: list[Run]) -> tuple[float, float, int]:
     """Standard deviations before rounding (encoder, accelerometer), counts, and the rows that they rest on.
 
-    Pooled over the runs' rests; without any, the accelerometer's is a default and the rows are 1.
+    Pooled over the runs' rests, rows that were logged alone; without any, the accelerometer's is a default and the rows
+    are 1.
 
     The variance at rest holds rounding's own q^2/12 where the reading moves at all; that part is taken off.
     """
     sums = {"encoder": 0.0, "accel": 0.0}
     freedom = {"encoder": 0, "accel": 0}
     for run in runs:
-        rows = rest_rows(run)
-        if rows < 10:
+        resting = np.flatnonzero(run.logged[: rest_rows(run)])
+        if resting.size < 10:
             continue
         for channel in sums:
             values = getattr(run, channel)
             if values is not None:
-                part = values[:rows] - np.mean(values[:rows])
+                part = values[resting] - np.mean(values[resting])
                 sums[channel] += float(part @ part)
-                freedom[channel] += rows - 1
+                freedom[channel] += resting.size - 1
     encoder = sums["encoder"] / freedom["encoder"] if freedom["encoder"] else 0.0
     if freedom["accel"]:
         accel = sums["accel"] / freedom["accel"]

@@ -177,6 +177,13 @@ class Parameters:
         """Absolute angle (rad) of encoder count 0 in a group of runs that share it."""
         return float(x[self.parts["zeros"]][group - 1]) if self.zeros and group else 0.0
 
+    def with_place_of(self, x: np.ndarray, other: np.ndarray, run: int) -> np.ndarray:
+        """The parameters ``x`` (p) with the place in a gap, where there are any, that ``other`` (p) has for a run."""
+        x, places = x.copy(), range(self.size)[self.parts["places"]]
+        if self.gap_places:
+            x[places[run]] = other[places[run]]
+        return x
+
     def place(self, x: np.ndarray, run: int) -> float:
         """Where in its gap the motor stands at a run's start, in [-1, 1]."""
         return math.tanh(x[self.parts["places"]][run]) if self.gap_places else 0.0
@@ -208,6 +215,12 @@ class Parameters:
         return found + [f"place in the gap, run {k + 1}" for k in range(self.gap_places)]
 
 
+def prior_covariance(rig: Rig, paths: Sequence[str]) -> np.ndarray:
+    """Prior covariance (n, n) of constants' logarithms, positive definite: none is surer by itself than EXACT."""
+    own = np.array([rig.sigma(path) for path in paths])
+    return rig.log_covariance(list(paths)) + np.diag(np.maximum(EXACT**2 - own**2, 0.0))
+
+
 def parameters(data: Dataset, hypothesis: Hypothesis, centres: Sizes, fixed: Collection[str] = ()) -> Parameters:
     """Parameters of a hypothesis; ``centres`` gives each effect's sizes, the centres of their priors.
 
@@ -215,8 +228,7 @@ def parameters(data: Dataset, hypothesis: Hypothesis, centres: Sizes, fixed: Col
     """
     rig = data.rig
     paths = tuple(path for path in rig.constants() if path not in fixed)
-    covariance = rig.log_covariance(list(paths))
-    covariance[np.diag_indices_from(covariance)] = np.maximum(covariance.diagonal(), EXACT**2)
+    covariance = prior_covariance(rig, paths)
     for path in hypothesis.constants:
         i = paths.index(path)
         covariance[i, i] += WIDE**2

@@ -68,8 +68,7 @@ def fit(rig: Rig, runs: Sequence[Run], hold: Sequence[str] | None = None, *, dom
             found = settled(predictor, found)
             found = refined(predictor, cooled(predictor, found), found)
         except least_squares.DIVERGED:
-            raise WorkError(f"{rig.name}: these runs cannot be simulated with its constants, nor with others within "
-                            "their uncertainty; check the rig file") from None
+            raise WorkError(f"{rig.name}: {least_squares.CANNOT_SIMULATE}") from None
         with suppress(*least_squares.DIVERGED):
             nominal = least_squares.fit(predictor, found.space, found.weighing, found.space.mean, iterations=0).misfit
     return judge(space, hidden, seen, found, held, nominal, starts, agreeing)

@@ -38,7 +38,7 @@ class Quality:
 def quality(run: Run, limit: float) -> Quality:
     """The figures of a run under a command limit (counts)."""
     saturated = float(np.mean(np.abs(run.command) >= limit - 0.5))
-    if run.metadata.controller.get("kind") == "open":
+    if run.open_loop:
         return Quality(None, None, None, None, saturated)
     last = max(round(FINAL_SECONDS * run.sample_rate), 1)
     final = float(np.mean(run.reference[-last:] - run.encoder[-last:]))

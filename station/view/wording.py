@@ -71,7 +71,7 @@ def percent(share: float | None) -> str:
         return "–"
     value = 100.0 * share
     decimals = 0 if abs(value) >= 9.95 or value == 0.0 else 1
-    return f"{value:.{decimals}f} %".replace("-", "−")
+    return f"{round(value, decimals) + 0.0:.{decimals}f} %".replace("-", "−")
 
 
 def resamples(value: float) -> str:

@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from station.diagnose.diagnose import diagnose
 from station.diagnose.measures import floor, nrmse
 from station.diagnose.result import Cause, Diagnosis, DiagnosisResult, Estimate, Gain, Rival
+from station.diagnose.thresholds import EXPLAINABLE
 from station.errors import StationError, UsageError, WorkError
 from station.estimation.noise import noise_sigmas
 from station.rig import Rig, load_rig
@@ -152,7 +153,7 @@ def test_the_gain_is_that_of_the_simulations_shown(diagnoses, name):
             size = float(np.sum((measured - measured.mean()) ** 2))
             b, a = nrmse(measured, getattr(shown.before, channel)), nrmse(measured, simulated)
             before, after, spread = before + b * b * size, after + a * a * size, spread + size
-            if b > 1.2 * floor(measured, sigma):
+            if b > EXPLAINABLE * floor(measured, sigma):
                 removed, removable = removed + b - a, removable + b - floor(measured, sigma)
         said = getattr(gain, channel)
         assert said.nrmse_before == pytest.approx(math.sqrt(before / spread), rel=1e-6)

@@ -11,7 +11,6 @@ from station.diagnose.equivalences import (
     ACCEL,
     CLOCK,
     ENCODER,
-    FLOOR,
     GAIN,
     INPUT,
     TABLE,
@@ -25,7 +24,7 @@ from station.diagnose.equivalences import (
 )
 from station.diagnose.odds import Odds
 from station.diagnose.result import NextExperiment
-from station.diagnose.thresholds import LOG_PRIOR
+from station.diagnose.thresholds import BELIEVABLE, LOG_PRIOR
 from station.model.effects import effect_class
 from station.model.simulate import build, simulate_model
 from station.model.units import UnknownUnitError, dimension, powers
@@ -288,7 +287,7 @@ def test_the_others_on_the_scale_are_rivals_of_the_gain():
                      found)
     said = {(r.effect, r.at): r.probability for r in rivals(odds, causes, GAIN, found)}
     assert set(said) == bound | {other, held} and said.pop(other) == pytest.approx(0.08)
-    assert said.pop(held) == pytest.approx(0.02) and set(said.values()) == {FLOOR}
+    assert said.pop(held) == pytest.approx(0.02) and set(said.values()) == {BELIEVABLE}
     assert {(r.effect, r.at) for r in rivals(odds, causes, GAIN, [])} == {other, held}
 
 

@@ -12,7 +12,6 @@ from station.control.compensators import Compensator
 from station.control.named import NAMED
 from station.control.references import reference_from_test
 from station.diagnose.experiment import (
-    SHOWS,
     Belief,
     Blocks,
     Planner,
@@ -24,6 +23,7 @@ from station.diagnose.experiment import (
     showing,
 )
 from station.diagnose.result import Prediction
+from station.diagnose.thresholds import VISIBLE
 from station.diagnose.trials import LEAD, OPEN, P, Trial, trials
 from station.model.effects import effect_class
 from station.model.simulate import build, simulate_model
@@ -148,7 +148,7 @@ def test_blocks_of_runs_add_up_to_what_all_of_them_say_together():
     parts = [Blocks.of(spread[:, half], change[:, half], nuisance) for half in (slice(20), slice(20, None))]
     apart = np.zeros((4, 40))
     apart[:2, :20] = apart[2:, 20:] = nuisance
-    whole = absorbed(change, np.concatenate([spread, apart])) @ change.T / SHOWS
+    whole = absorbed(change, np.concatenate([spread, apart])) @ change.T / VISIBLE
     assert np.allclose((parts[0] + parts[1]).gram(), whole)
 
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from station.control.named import NAMED
-from station.diagnose.investigate import LEAST, PATIENCE, investigate
+from station.diagnose.investigate import investigate
 from station.diagnose.result import Cause, Diagnosis, DiagnosisResult, Gain, NextExperiment
+from station.diagnose.thresholds import FEW, PATIENCE
 from station.errors import UsageError, WorkError
 from station.rig import load_rig
 from station.runs.run import Run, RunMetadata
@@ -47,25 +48,25 @@ FOUND, CLEAN = said("explained", DEAD), said("nothing_missing")
 
 
 @pytest.mark.parametrize(("diagnoses", "runs", "outcome"), [
-    ([FOUND], LEAST, "decided"),
-    ([CLEAN], LEAST, "decided"),
-    ([CLEAN, FOUND], LEAST, "decided"),
+    ([FOUND], FEW, "decided"),
+    ([CLEAN], FEW, "decided"),
+    ([CLEAN, FOUND], FEW, "decided"),
     ([said("nothing_missing", unseen=2)] * 4 + [CLEAN], 5, "decided"),
     ([said("nothing_missing", unseen=1)], 8, "budget"),
-    ([said("explained", DEAD, unseen=3)], LEAST, "decided"),
+    ([said("explained", DEAD, unseen=3)], FEW, "decided"),
     ([FOUND, FOUND, CLEAN, CLEAN], 4, "decided"),
     ([FOUND, said("explained", DRAG), FOUND, FOUND], 4, "decided"),
     ([said("explained", DEAD, DRAG), FOUND, said("explained", DEAD, DRAG), FOUND, FOUND], 5, "decided"),
     ([said("explained", DEAD, probability=0.9)] * 4 + [FOUND], 5, "decided"),
     ([said("ambiguous", DEAD)], 8, "budget"),
     ([said("not_enough_data")], 8, "budget"),
-    ([said("ambiguous", DEAD, stuck=True)], LEAST, "hopeless"),
+    ([said("ambiguous", DEAD, stuck=True)], FEW, "hopeless"),
     ([FOUND, FOUND, said("ambiguous", DEAD, stuck=True), FOUND], 4, "decided"),
     ([said("unexplained")], PATIENCE, "hopeless"),
     ([said("partly_explained", DEAD)], PATIENCE, "hopeless"),
     ([said("unexplained"), said("unexplained"), said("unexplained"), CLEAN], 5, "decided"),
-    ([said("not_enough_data"), said("not_enough_data"), CLEAN], LEAST, "decided"),
-    ([said("ambiguous", DEAD), said("ambiguous", DEAD), FOUND], LEAST, "decided"),
+    ([said("not_enough_data"), said("not_enough_data"), CLEAN], FEW, "decided"),
+    ([said("ambiguous", DEAD), said("ambiguous", DEAD), FOUND], FEW, "decided"),
     ([said("partly_explained", DEAD), said("partly_explained", DRAG)] * 2 + [FOUND], 6, "decided"),
 ], ids=lambda value: None)
 def test_it_ends_when_two_diagnoses_agree_and_nothing_is_open(diagnoses, runs, outcome):

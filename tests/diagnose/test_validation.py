@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -93,6 +94,14 @@ def test_a_cause_that_leaves_constants_where_the_rig_file_has_them_relieves_a_re
     assert relief(strained, relieved) == 11.0 and relief(relieved, strained) == -11.0
 
 
+@dataclass(frozen=True)
+class Left:
+    """A fit that left a run out."""
+
+    light: Left | None
+    x: str
+
+
 def test_every_run_is_left_out_once_from_where_the_fit_of_all_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
 
@@ -100,12 +109,15 @@ def test_every_run_is_left_out_once_from_where_the_fit_of_all_ended(monkeypatch:
         asked.append((list(runs), x, how["jacobian"]))
         if not runs[2]:
             raise ArithmeticError("lost")
-        return SimpleNamespace(light=f"without {int(np.argmin(runs))}")
+        return Left(Left(None, f"without {int(np.argmin(runs))}"), "")
 
     monkeypatch.setattr(module, "fit", fit)
-    found = SimpleNamespace(space=None, x="here", own=None, jacobian="known", light="of all")
+    space = SimpleNamespace(with_place_of=lambda x, other, run: f"{x}, {other}'s place of {run}")
+    found = SimpleNamespace(space=space, x="here", own=None, jacobian="known", light="of all")
     with ThreadPoolExecutor(1) as pool:
         predictor = SimpleNamespace(data=SimpleNamespace(runs=[None] * 3), pool=pool)
-        assert leave_each_out(predictor, None, found) == ["without 0", "without 1", "of all"]
+        left = leave_each_out(predictor, None, found)
+    assert [one.x for one in left[:2]] == ["without 0, here's place of 0", "without 1, here's place of 1"]
+    assert left[2] == "of all"
     assert [row[0] for row in asked] == [[0.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 0.0]]
     assert {row[1:] for row in asked} == {("here", "known")}

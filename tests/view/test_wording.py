@@ -52,13 +52,13 @@ def test_notes_of_the_diagnosis_name_causes_by_their_titles() -> None:
 
 
 def test_what_is_tried_beside_the_first_says_what_it_adds() -> None:
-    first = RankedCause("backlash", "drive", 0.99, 500.0, 0.4, {})
+    first = RankedCause("backlash", "drive", 0.99, 500.0, 0.4)
     note = "as part of backlash@drive + dead_zone@amplifier"
-    assert wording.why_lost(RankedCause("dead_zone", "amplifier", 0.1, 500.3, None, {}, note), first, False) == \
+    assert wording.why_lost(RankedCause("dead_zone", "amplifier", 0.1, 500.3, None, note), first, False) == \
         "as part of backlash in the drive + dead zone in the amplifier: adds nothing to 2 Δln L"
-    assert wording.why_lost(RankedCause("dead_zone", "amplifier", 0.1, 510.0, None, {}, note), first, False).endswith(
+    assert wording.why_lost(RankedCause("dead_zone", "amplifier", 0.1, 510.0, None, note), first, False).endswith(
         "adds 10.0 to 2 Δln L, too little")
-    assert wording.why_lost(RankedCause("dead_zone", "amplifier", 0.6, 510.0, None, {}, note), first, False) == \
+    assert wording.why_lost(RankedCause("dead_zone", "amplifier", 0.6, 510.0, None, note), first, False) == \
         "may be there as well, but too few resamples name it"
 
 
@@ -102,9 +102,9 @@ def test_a_settling_that_never_comes_says_so() -> None:
 
 
 def test_a_candidate_without_a_note_loses_by_its_numbers() -> None:
-    first = RankedCause("a", "motor", 0.9, 500.0, 0.4, {})
-    assert "does not help" in wording.why_lost(RankedCause("b", "motor", 0.01, 400.0, -0.1, {}), first, False)
-    assert "100 below" in wording.why_lost(RankedCause("b", "motor", 0.01, 400.0, 0.1, {}), first, False)
+    first = RankedCause("a", "motor", 0.9, 500.0, 0.4)
+    assert "does not help" in wording.why_lost(RankedCause("b", "motor", 0.01, 400.0, -0.1), first, False)
+    assert "100 below" in wording.why_lost(RankedCause("b", "motor", 0.01, 400.0, 0.1), first, False)
     assert wording.why_lost(first, first, True) == "named as a cause"
     assert "too few resamples name it" in wording.why_lost(first, first, False)
 
