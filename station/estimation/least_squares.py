@@ -448,7 +448,7 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
     afresh, at most ``renewals`` times.  ``first``: NEAR or FAR.  ``parallel`` spreads the work over the predictor's
     threads; not from one of them.  ArithmeticError: the start does not simulate.
     """
-    data = predictor.data
+    data, predictor = predictor.data, predictor.near(space, x)
     descent = _Descent(predictor, space, weighing, np.ones(len(data.runs)) if runs is None else runs, parallel)
     here = descent.at(x, data.own if own is None else own)
     if not np.isfinite(here.objective):

@@ -5,6 +5,11 @@ A steady Kalman filter of the linear rig, fed by the encoder alone, that takes w
 wrong angle is forgotten after the horizon: the integral over time of what a unit error of the angle leaves equals it.
 An infinite horizon is the simulation driven by the logged command (output error).  Ljung, System Identification (2nd
 ed., 1999), sections 3.2 (k-step-ahead predictors), 4.3 (innovations form) and 13.4 (direct method).
+
+Every rig that is simulated has its own (the gain is a function of the parameters: Ljung, section 4.3), with the same
+horizon.  With gains of the nominal rig a hypothesis would win by what it makes of them: with a rigid drive in place of
+a soft one the same gains forget after three fifths of the time, and errors that are predicted less far ahead are
+smaller whatever the cause.
 """
 
 from __future__ import annotations
@@ -12,65 +17,68 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg
 
 from station.estimation.noise import QUANTISATION
 from station.model.assembly import torque_input
 from station.model.compiled import njit
-from station.model.modal import apply, dense
+from station.model.modal import ModalForm, apply, dense
 from station.model.simulate import Model, build
 from station.rig import Rig
 
 HORIZONS = (0.05, math.inf)
 """Seconds: what a torque does at once, and whole runs.  One between them reads what whole runs read: where a loop is
 closed their slopes correlate by 0.9, and what counts twice makes causes that are not there look likely."""
-ROUNDS = 20
-"""Halvings of the logarithm of the torque's size."""
+ROUNDS = 40
+"""Halvings of the logarithm of the torque's size, for the nominal rig."""
 SIZES = (1e-4, 1e7)
 """Counts of command between which it is looked for."""
+STEPS = 6
+"""Most steps of the secant method from there to another rig's."""
+NEAR = 1e-5
+"""Error of the memory's logarithm from which on one step more is the last: it leaves the square of that."""
+SLOPE = -0.3
+"""Change of the memory's logarithm by that of the size, to begin with: of a double integrator -1/3."""
+FASTEST = 20.0, 1000.0
+"""Over the horizon, and rad/s: of the nominal rig the modes that decay or swing faster than both are not corrected."""
+LONGEST = 4.0
+"""The longest, in the logarithm of the size."""
 LASTS = 12.0
-"""Horizons after which nothing is left of an error that is forgotten after one."""
+"""Horizons after which nothing is left of an error that is forgotten after one, and the covariance has settled."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Observer:
-    """Gains per count of the encoder's prediction error."""
+    """How far ahead is predicted, and what an observer of that memory must know beside the rig."""
 
     horizon: float
-    state: np.ndarray
-    """(2 n) on coordinates and speeds, rad and rad/s, deflections as shares of the beam's length."""
-    torque: float
-    """On the disturbance, counts of command."""
-    decay: float
-    """Of the disturbance from one sample to the next."""
-    elements: int
-    """Of the beam's mesh, 0 without one."""
+    variance: float = QUANTISATION
+    """Of a reading of the encoder, counts^2."""
+    blocks: int = 0
+    """How many of a rig's modes, the slowest, are corrected."""
+    log_size: float = 0.0
+    """Logarithm of the torque's size (counts of command) that gives a rig this horizon: the nominal one, or one that is
+    near to those to come (``near``)."""
+    slope: float = SLOPE
+    """Change of the memory's logarithm by that, there."""
+
+    def near(self, model: Model) -> Observer:
+        """The same, quicker to work out for rigs like this one."""
+        found = None if math.isinf(self.horizon) else _design(self, model)[1]
+        return self if found is None else replace(self, log_size=found[0], slope=found[1])
 
     def correction(self, model: Model) -> Correction:
-        """What one count of error changes in another rig's simulation, the same for all its runs.
+        """What one count of error changes in a rig's simulation, the same for all its runs; not finite where a rig has
+        no such observer.
 
-        Of its own length and mesh, the correction as a shape the same.  What a sample corrects is the same whatever the
-        board's clock: a speed counts in true seconds.  An encoder that is late shows what was to be corrected then: it
-        is carried forward to now, by the rig without its effects, and so are the readings that have not been shown.
-        Or a late encoder would be a worse observer than a late command that does the same.
+        An encoder that is late shows what was to be corrected then: it is
+        carried forward to now, by the rig without its effects, and so are the readings that have not been shown.  Or a
+        late encoder would be a worse observer than a late command that does the same.
         """
         return _correction(self, model)
-
-    def _on(self, model: Model) -> np.ndarray:
-        half = self.state.reshape(2, -1) / np.array([[1.0], [_period(model) / model.rig.period]])
-        if model.rig.beam is None:
-            return model.form.inverse @ half.ravel()
-        at = half.shape[1] - 2 * self.elements
-        shape = half[:, at - 1:]
-        if model.rig.beam.elements != self.elements:
-            shape = shape @ _finer(self.elements, model.rig.beam.elements).T
-        found = np.concatenate([half[:, : at - 1], shape], axis=1)
-        found[:, model.assembly.nodes] *= model.rig.beam.length
-        return model.form.inverse @ found.ravel()
 
 
 class Correction(NamedTuple):
@@ -80,31 +88,102 @@ class Correction(NamedTuple):
     """(2 b) modal coordinates."""
     torque: float
     """Disturbance, counts of command."""
+    decay: float
+    """Of the disturbance from one sample to the next."""
     late: np.ndarray
     """(m) rad, angles that the encoder has yet to show: at the present instant, a step before, and so on."""
 
 
+class _Linear:
+    """A model as its linear part sees it: equal where that is."""
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+
+    def __hash__(self) -> int:
+        return id(self.model.form)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Linear) and other.model.form is self.model.form
+
+
+class _Filter(NamedTuple):
+    """The linear rig with the disturbance as one more state, s = 2 b + 1."""
+
+    f: np.ndarray
+    """(s, s) from sample to sample."""
+    h: np.ndarray
+    """(s) the encoder, counts."""
+    enters: np.ndarray
+    """(s) how a disturbance of one count enters."""
+    first: np.ndarray
+    """(s) an error of one count of the angle, at rest."""
+    decay: float
+    period: float
+    """Between two samples by the board's clock, s: by that horizons count, whatever a hypothesis says of it."""
+
+
 @functools.lru_cache(maxsize=64)
 def _correction(observer: Observer, model: Model) -> Correction:
-    plan, form, period, at_once = model.plan, model.form, _period(model), observer._on(model)
-    if plan.encoder_delay == 0.0 or not at_once.any():
-        return Correction(at_once, observer.torque, np.zeros(0))
+    at_once = _gains(observer, _Linear(model))
+    plan, form, period, decay = model.plan, model.form, _period(model), at_once.decay
+    if plan.encoder_delay == 0.0 or at_once.torque == 0.0:
+        return at_once
     delay, count = plan.encoder_delay, _per_count(model)
 
     def carried(z: np.ndarray, torque: float, time: float) -> np.ndarray:
         return apply(form.exponential(time), z) + torque * apply(form.integral(time), count)
 
-    begun = [(at_once, observer.decay * observer.torque)]     # what it has become when each period begins
+    begun = [(at_once.state, decay * at_once.torque)]     # what it has become when each period begins
     for _ in range(int(delay / plan.substeps)):
         z, torque = begun[-1]
-        begun.append((carried(z, torque, period), observer.decay * torque))
+        begun.append((carried(z, torque, period), decay * torque))
 
     def after(steps: float) -> np.ndarray:
         whole = int(steps / plan.substeps)
         return carried(*begun[whole], (steps - whole * plan.substeps) * plan.h)
 
     late = [float(plan.base_angle @ after(delay - k)) for k in range(int(delay) + 1)]
-    return Correction(after(delay), observer.torque * observer.decay ** (delay / plan.substeps), np.array(late))
+    return Correction(after(delay), at_once.torque * decay ** (delay / plan.substeps), decay, np.array(late))
+
+
+@functools.lru_cache(maxsize=128)
+def _gains(observer: Observer, linear: _Linear) -> Correction:
+    if math.isinf(observer.horizon):
+        return Correction(np.zeros(2 * linear.model.form.blocks), 0.0, 0.0, np.zeros(0))
+    return _design(observer, linear.model)[0]
+
+
+def _design(observer: Observer, model: Model) -> tuple[Correction, tuple[float, float] | None]:
+    """A rig's correction, and (log size, slope) there, None where there is none."""
+    form, horizon = model.form, observer.horizon
+    slowest = np.sort(np.argsort(_speeds(form), kind="stable")[: observer.blocks])
+    system, kept = _filter(model, horizon, slowest), form.columns(slowest)
+    try:
+        gain, log_size, slope = _designed(*system, observer.variance, horizon, observer.log_size, observer.slope)
+    except np.linalg.LinAlgError:
+        gain, log_size, slope = np.full(len(kept) + 1, np.nan), math.nan, math.nan
+    state = np.zeros(2 * form.blocks)
+    state[kept] = gain[:-1]
+    found = Correction(state, float(gain[-1]), system.decay, np.zeros(0))
+    return found, (float(log_size), float(slope)) if np.isfinite(gain).all() else None
+
+
+def _speeds(form: ModalForm) -> np.ndarray:
+    """(b) how fast a mode decays or swings, rad/s; of two that decay the slower."""
+    return np.abs(form.eigenvalues).min(axis=1)
+
+
+def _filter(model: Model, horizon: float, blocks: np.ndarray) -> _Filter:
+    """Of the modes ``blocks`` alone."""
+    form, kept, period = model.form.select(blocks), model.form.columns(blocks), _period(model)
+    size, decay = len(kept), math.exp(-model.rig.period / horizon)
+    held = apply(form.integral(period), _per_count(model)[kept])
+    f = np.zeros((size + 1, size + 1))
+    f[:size, :size], f[:size, size], f[size, size] = dense(form.exponential(period)), held * decay, decay
+    h = np.append(model.plan.base_angle[kept] * model.plan.counts_per_radian, 0.0)
+    first = np.append((model.form.inverse[:, : model.assembly.size] @ model.assembly.rigid)[kept], 0.0)
+    return _Filter(f, h, np.append(held, 1.0), first / (h @ first), decay, model.rig.period)
 
 
 def _period(model: Model) -> float:
@@ -124,63 +203,74 @@ def observers(rig: Rig, noise: float, horizons: Sequence[float] = HORIZONS) -> t
     return tuple(_observer(linear, noise**2 + QUANTISATION, horizon) for horizon in horizons)
 
 
-@functools.lru_cache(maxsize=16)
-def _finer(elements: int, wanted: int) -> np.ndarray:
-    """(2 wanted + 1, 2 elements + 1) from [root's slope, deflection and slope of each further node] to those of another
-    mesh, by the elements' own cubic shapes; lengths in units of the beam's."""
-    size, h = 2 * elements + 1, 1.0 / elements
-    ends = np.vstack([np.zeros((1, size)), np.eye(size)])       # the root's deflection is 0
-    found = np.zeros((2 * wanted + 2, size))
-    for k in range(wanted + 1):
-        e = min(k * elements // wanted, elements - 1)
-        s = k * elements / wanted - e
-        w = np.array([1 - 3 * s**2 + 2 * s**3, h * (s - 2 * s**2 + s**3), 3 * s**2 - 2 * s**3, h * (s**3 - s**2)])
-        slope = np.array([6 * s**2 - 6 * s, h * (1 - 4 * s + 3 * s**2), 6 * s - 6 * s**2, h * (3 * s**2 - 2 * s)]) / h
-        found[2 * k], found[2 * k + 1] = w @ ends[2 * e: 2 * e + 4], slope @ ends[2 * e: 2 * e + 4]
-    return found[1:]
-
-
-@njit(cache=True)
-def _memory(f, k, h, error, steps, period):
-    """Time integral of the predicted angle's error after a unit one, s."""
-    total = 0.0
-    for _ in range(steps):
-        e = np.dot(h, error)
-        total += abs(e) * period
-        error = np.dot(f, error - k * e)
-    return total
-
-
 @functools.lru_cache(maxsize=64)
 def _observer(linear: str, variance: float, horizon: float) -> Observer:
     """Of a rig as JSON; kept, since a diagnosis asks for the same ones again and again."""
-    model = build(Rig.model_validate_json(linear), 0.1, 1e-3)
-    rig, form, period = model.rig, model.form, model.rig.period
-    beam, elements = rig.beam, 0 if rig.beam is None else rig.beam.elements
     if math.isinf(horizon):
-        return Observer(horizon, np.zeros(2 * model.assembly.size), 0.0, 0.0, elements)
-    size, decay = 2 * form.blocks, math.exp(-period / horizon)
-    held = dense(form.integral(period)) @ _per_count(model)
-    f = np.zeros((size + 1, size + 1))
-    f[:size, :size], f[:size, size], f[size, size] = dense(form.exponential(period)), held * decay, decay
-    h = np.append(model.plan.base_angle * model.plan.counts_per_radian, 0.0)
-    enters = np.append(held, 1.0)
-    first = np.append(form.inverse @ np.concatenate([model.assembly.rigid, np.zeros(model.assembly.size)]), 0.0)
-
-    def gain(log_size: float) -> np.ndarray:
-        process = math.exp(2.0 * log_size) * (1.0 - decay**2) * np.outer(enters, enters)
-        p = scipy.linalg.solve_discrete_are(f.T, h[:, None], process, [[variance]])
-        return p @ h / (h @ p @ h + variance)
-
-    def memory(log_size: float) -> float:
-        return _memory(f, gain(log_size), h, first / (h @ first), math.ceil(LASTS * horizon / period), period)
-
+        return Observer(horizon, variance)
+    model = build(Rig.model_validate_json(linear), 0.1, 1e-3)
+    blocks = max(int(np.count_nonzero(_speeds(model.form) < max(FASTEST[0] / horizon, FASTEST[1]))), 1)
+    system = _filter(model, horizon, np.argsort(_speeds(model.form), kind="stable")[:blocks])
     low, high = (math.log(s) for s in SIZES)
     for _ in range(ROUNDS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if memory(middle) > horizon else (low, middle)
-    k = gain(high)
-    state = form.basis @ k[:size]
-    if beam is not None:
-        state[np.concatenate([model.assembly.nodes, model.assembly.size + model.assembly.nodes])] /= beam.length
-    return Observer(horizon, state, float(k[size]), decay, elements)
+        gain = _gain(*system[:3], system.decay, variance, middle, _doublings(horizon, system.period))
+        low, high = (middle, high) if _excess(*system, variance, horizon, gain) > 0.0 else (low, middle)
+    return Observer(horizon, variance, blocks, high).near(model)
+
+
+@njit(cache=True, nogil=True)
+def _doublings(horizon, period):
+    """Of the rows over which the filter's covariance settles."""
+    return math.ceil(math.log2(LASTS * horizon / period))
+
+
+@njit(cache=True, nogil=True)
+def _gain(f, h, enters, decay, variance, log_size, doublings):
+    """(s) gain of the filter, its covariance by the doubling algorithm (Anderson and Moore, Optimal Filtering, 1979,
+    section 6.7)."""
+    a, g, eye = f.T.copy(), np.outer(h, h) / variance, np.eye(h.size)
+    p = math.exp(2.0 * log_size) * (1.0 - decay**2) * np.outer(enters, enters)
+    for _ in range(doublings):
+        solved = np.linalg.solve(eye + np.dot(g, p), np.hstack((a, g)))
+        b, c = solved[:, : h.size].copy(), solved[:, h.size:].copy()
+        p = p + np.dot(a.T, np.dot(p, b))
+        p = 0.5 * (p + p.T)
+        g = g + np.dot(a, np.dot(c, a.T))
+        a = np.dot(a, b)
+    seen = np.dot(p, h)
+    return seen / (np.dot(h, seen) + variance)
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+def _excess(f, h, enters, first, decay, period, variance, horizon, gain):
+    """Logarithm of the time integral of what a unit error of the angle leaves, over the horizon."""
+    size, total, error, moved, through = h.size, 0.0, first.copy(), np.empty(h.size), np.dot(f, gain)
+    for _ in range(math.ceil(LASTS * horizon / period)):
+        shown = 0.0
+        for i in range(size):
+            shown += h[i] * error[i]
+        total += abs(shown) * period
+        for i in range(size):
+            moved[i] = -through[i] * shown
+            for j in range(size):
+                moved[i] += f[i, j] * error[j]
+        error, moved = moved, error
+    return math.log(total / horizon)
+
+
+@njit(cache=True, nogil=True)
+def _designed(f, h, enters, first, decay, period, variance, horizon, log_size, slope):
+    """(s) gain whose memory is the horizon, the logarithm of the torque's size, and the slope there."""
+    before, doublings = log_size, _doublings(horizon, period)
+    gain = _gain(f, h, enters, decay, variance, before, doublings)
+    missed = _excess(f, h, enters, first, decay, period, variance, horizon, gain)
+    for _ in range(STEPS):
+        here = before - min(max(missed / slope, -LONGEST), LONGEST)
+        gain = _gain(f, h, enters, decay, variance, here, doublings)
+        if abs(missed) < NEAR:
+            return gain, here, slope
+        now = _excess(f, h, enters, first, decay, period, variance, horizon, gain)
+        slope = min((now - missed) / (here - before), -0.05)
+        before, missed = here, now
+    return gain, before, slope

@@ -1,10 +1,11 @@
 """Predictions of runs at several horizons: the compiled stepper, each time corrected by what an observer missed.
 
-    e[i] = y[i] - yhat[i],   z+ = z + K e[i],   d+ = d + k e[i],   yhat[i+1] from z+ with the logged command and phi d+
+    e[i] = y[i] - yhat[i],   z+ = z + K e[i]/s,   d+ = d + k e[i]/s,   yhat[i+1] from z+, the logged command and phi d+
 
-z are the rig's modes, d a torque at the motor (counts of command), e the encoder's error; with K = 0 this is the
-simulation driven by the logged command.  The accelerometer is predicted and never fed back.  So nothing asks which
-controller closed the loop: the direct method (Ljung 1999, section 13.4).
+s is what the encoder's reading changes per count of the angle (1 but for an error of its own), z are the rig's modes, d
+a torque at the motor (counts of command), e the encoder's error; with K = 0 this is the simulation driven by the logged
+command.  The accelerometer is predicted and never fed back.  So nothing asks which controller closed the loop: the
+direct method (Ljung 1999, section 13.4).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from station.estimation.parameters import Parameters
 from station.model.compiled import kernel
 from station.model.effects import Stage
 from station.model.simulate import Model, build, initial_state
-from station.model.stepper import State, advance, advance_plain, begin, is_plain, sense, sense_plain
+from station.model.stepper import State, advance, advance_plain, begin, encoder_slope, is_plain, sense, sense_plain
 from station.rig import Rig
 
 Accuracy = tuple[float, float, float]
@@ -66,7 +67,7 @@ def _predict(plan, fresh, state, gain, torque_gain, late, decay, span, logs, own
                 if torque_gain[used] != 0.0:
                     error = 0.0
                     if logs.logged[row]:
-                        error = min(max(logs.encoder[row] - encoder, -span), span)
+                        error = min(max((logs.encoder[row] - encoder) / encoder_slope(plan, state), -span), span)
                     for k in range(state.z.size):
                         state.z[k] += gain[used, k] * error
                     for k in range(late.shape[1]):
@@ -115,7 +116,7 @@ def _predicted(model: Model, used: Sequence[Observer], logs: Logs, starts: Seque
     for row, correction in zip(late, corrections, strict=True):
         row[: correction.late.size] = correction.late
     _predict(model.plan, fresh, starts[0], np.array([c.state for c in corrections]),
-             np.array([c.torque for c in corrections]), late, np.array([o.decay for o in used]),
+             np.array([c.torque for c in corrections]), late, np.array([c.decay for c in corrections]),
              SPAN / model.rig.angle_per_count, logs, np.ascontiguousarray(own), accel_at, out, disturbance,
              np.zeros((4, max(model.plan.port_joint.size, 1))))
     return out
@@ -161,6 +162,11 @@ class Predictor:
     accuracy: Accuracy = SEARCH
     final: Accuracy = FINE
     """Of the simulations from which values are stated."""
+
+    def near(self, space: Parameters, x: np.ndarray) -> Predictor:
+        """The same, quicker for rigs like the one that a parameter vector describes."""
+        model = self.model(space, x)
+        return replace(self, observers=tuple(observer.near(model) for observer in self.observers))
 
     def on(self, data: Dataset) -> Predictor:
         """The same on other data of the same runs."""

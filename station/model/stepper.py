@@ -31,6 +31,8 @@ NONE, ALL, INSIDE = range(3)
 MAX_ITERATIONS = 40
 TOLERANCE = 1e-5
 """Of the ports' speeds, rad/s: 10^-6 of a count over a step."""
+LEAST_SLOPE = 0.1
+"""Of the encoder's reading by the angle: what an observer divides by."""
 AT_REST = 1e-4
 """Speed below which dry friction finds a part at rest, rad/s: what the ports' solution may leave of a speed of 0."""
 
@@ -369,6 +371,20 @@ def sense(plan, state, offset, rounding):
     if rounding:
         return math.floor(encoder + 0.5), math.floor(accel + 0.5)
     return encoder, accel
+
+
+@kernel(forceinline=True)
+def encoder_slope(plan, state):
+    """What the encoder's reading changes per count of the angle, its own error included, a count to either side."""
+    slope, count = 1.0, 1.0 / plan.counts_per_radian
+    if plan.first[ENCODER + 1] > plan.first[ENCODER]:
+        angle = _late(state.angles, state.clock[2], plan.encoder_delay) + state.last[2]
+        for slot in range(plan.first[ENCODER], plan.first[ENCODER + 1]):
+            law, arguments = plan.slots[slot, 1], element(plan.arguments, plan.slots[slot, 2])
+            own = element(state.effects, plan.slots[slot, 3])
+            slope += 0.5 * (call_law(law, angle + count, 0.0, 0.0, arguments, own, plan.h)
+                            - call_law(law, angle - count, 0.0, 0.0, arguments, own, plan.h))
+    return max(slope, LEAST_SLOPE)
 
 
 @kernel(forceinline=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -75,6 +76,20 @@ def test_a_rig_in_other_units_predicts_the_same(rig: Rig, unit: str) -> None:
     assert np.abs(torque[0]).max() > 1.0
     np.testing.assert_allclose(again, torque, atol=1e-6)
     np.testing.assert_allclose(found, plain, atol=1e-6)
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.7, math.pi])
+def test_an_encoder_of_another_slope_is_watched_by_as_quick_an_observer(phase: float) -> None:
+    """Where it reads 10 % more or less per angle an error of a count is another angle, and is corrected as that."""
+    late = AXIS.with_constants({"motor.gain": 1.2 * AXIS.motor.gain})
+    watched, run = observers(AXIS, 0.1), run_of(late, 60.0, "p2", "x")
+    off = effect_class("encoder_eccentricity")(at="encoder", amplitude=0.1 / AXIS.angle_per_count, phase=phase)
+    read = run.encoder + off.amplitude * np.sin(run.encoder * AXIS.angle_per_count + phase)
+    _, torque = predict(build(AXIS.with_effects([off]), 0.0), watched, log_of(replace(run, encoder=read)),
+                        begun(float(read[0] * AXIS.angle_per_count)))
+    _, missing = predict(build(AXIS, 0.0), watched, log_of(run), begun(float(run.encoder[0] * AXIS.angle_per_count)))
+    assert np.abs(missing[0]).max() > 1.0
+    np.testing.assert_allclose(torque[0], missing[0], atol=0.02 * np.abs(missing[0]).max())
 
 
 @pytest.mark.parametrize("late", [0.5, 2.0, 3.5])
