@@ -49,3 +49,22 @@ def test_runs_of_one_supply_show_no_difference() -> None:
     case = make_case(8010, [("coulomb_friction", "motor")], nominal=RIGID_AXIS, count=len(SHARES))
     said = diagnose(Rig.model_validate(RIGID_AXIS), case.runs, effort="quick").diagnosis
     assert said.between_runs is not None and said.between_runs.share is None and said.between_runs.runs == []
+
+
+@pytest.mark.parametrize("shares", [(0.5, 1.6, 0.7, 1.3, 0.9), (1.0,) * 5])
+def test_friction_that_differs_from_run_to_run_is_told_with_its_spread(shares: tuple[float, ...]) -> None:
+    """Each run of the independent generator with a friction of its own: told are the value and by how much it differs."""
+    case = make_case(8010, [("coulomb_friction", "motor")], nominal=RIGID_AXIS, count=len(shares))
+    runs = []
+    for run, test, conditions, share in zip(case.runs, case.tests, case.conditions, shares, strict=True):
+        effects = [{**effect, "torque": share * effect["torque"]} for effect in case.effects]
+        made = simulate_case(case.rig, effects, [test], [conditions])[0]
+        runs.append(replace(run, command=made.command, encoder=made.encoder))
+    said = diagnose(Rig.model_validate(RIGID_AXIS), runs, effort="quick").diagnosis
+    assert [(cause.effect, cause.at) for cause in said.causes][:1] == [("coulomb_friction", "motor")]
+    told, true = said.causes[0].parameters["torque"], case.effects[0]["torque"]
+    assert told.low < np.mean(shares) * true < told.high
+    if np.std(shares) > 0.0:
+        assert told.spread == pytest.approx(true * np.std(shares, ddof=1), rel=0.6)
+    else:
+        assert told.spread is None

@@ -6,12 +6,14 @@ steps, more of them.
 
 from __future__ import annotations
 
+import os
 import random
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 
 import pytest
+from threadpoolctl import threadpool_limits
 
 from station.diagnose.diagnose import diagnose
 from station.diagnose.result import Cause, Diagnosis, Estimate
@@ -152,8 +154,12 @@ def test_the_same_is_said_however_the_runs_are_given(data: str, change: str) -> 
     assert differences(plain(data), changed(data, change)) == []
 
 
-def test_one_thread_says_to_the_last_digit_what_two_say_of_the_same_runs_in_reversed_order() -> None:
-    alone = said(*reversed_order(*given("made")), threads=1)
+@pytest.mark.parametrize(("threads", "algebra"), [(1, 1), (4, None)])
+def test_other_threads_say_to_the_last_digit_what_two_say_of_the_same_runs_in_reversed_order(
+        threads: int, algebra: int | None) -> None:
+    """Whether linear algebra is limited to one thread outside, or has all that there are."""
+    with threadpool_limits(algebra or os.cpu_count()):
+        alone = said(*reversed_order(*given("made")), threads=threads)
     assert by_run(alone) == by_run(plain("made"))
 
 
