@@ -74,7 +74,7 @@ def evidence(rig: Rig, extended_rig: Rig, runs: Sequence[Run], causes: Sequence[
 
     ``rig``: re-fitted without any cause; ``extended_rig``: with all.  A cause that the extended rig does not hold is
     passed over.  Without causes the whole sceptic's view is given: the torque that is missing at the motor against
-    time, speed, angle, command and frequency.  ``pool``: threads over which the runs are spread.
+    time, speed, angle, command, load and frequency.  ``pool``: threads over which the runs are spread.
     """
     runs, found = list(runs), []
     for name, at in causes:
@@ -90,7 +90,7 @@ def evidence(rig: Rig, extended_rig: Rig, runs: Sequence[Run], causes: Sequence[
 
 
 def sceptics_view(found: MissingTorque, run: Run, at: str) -> list[Evidence]:
-    """One run's missing torque against time, speed, angle, command and frequency, no law assumed."""
+    """One run's missing torque against time, speed, angle, command, load and frequency, no law assumed."""
     what, unit, angle, speed = ((f"torque missing at the {at}", "N m", "angle (rad)", "speed (rad/s)") if at != "tip"
                                 else ("force missing at the tip", "N", "position (m)", "speed (m/s)"))
     upper = what[0].upper() + what[1:]
@@ -102,7 +102,8 @@ def sceptics_view(found: MissingTorque, run: Run, at: str) -> list[Evidence]:
                  "at rest.")
     views = [_thin(f"{upper}, against time", "time", "time (s)", f"{what} ({unit})", found.t, found.torque, note=note)]
     for kind, label, x in (("speed", f"{at} {speed}", found.speed), ("angle", f"{at} {angle}", found.angle),
-                           ("command", "command (counts)", found.command)):
+                           ("command", "command (counts)", found.command),
+                           ("load", "load on the gears (N m)", found.load)):
         views.append(_thin(f"{upper}, against {kind}", kind, label, f"{what} ({unit})", x, found.torque, note=note))
     rate = 1.0 / (found.t[1] - found.t[0])
     frequency, density = signal.welch(found.torque, rate, nperseg=min(512, len(found.t)))
@@ -224,11 +225,17 @@ def _torque(cause: _Cause) -> list[Evidence]:
 def _torque_in_time(cause: _Cause) -> list[Evidence]:
     """Missing torque at the effect's part against time, where the effect names no better picture."""
     at = cause.at if cause.at in ("motor", "base", "drive", "clamp") else "motor"
-    found = _estimates(cause, at)
+    effect, found = cause.effect, _estimates(cause, at)
+    assert effect is not None
     worst = max(found, key=lambda m: float(np.mean(m.torque**2)))
-    note = _torque_note(cause, found).replace(" Line: the fitted law.", " The run that misses most.")
+    if effect.stage is Stage.FRICTION:
+        law = -np.sign(worst.speed) * law_values(cause.extended, effect, np.abs(worst.speed), 0.0, np.abs(worst.load))
+    else:
+        law = law_values(cause.extended, effect, worst.angle, worst.speed)
+    note = _torque_note(cause, found).replace("Line: the fitted law.",
+                                              "The run that misses most. Line: the fitted law along its motion.")
     return [_thin(f"Torque missing at the {at}, against time: {cause.title}", "time", "time (s)",
-                  "missing torque (N m)", worst.t, worst.torque, note=note)]
+                  "missing torque (N m)", worst.t, worst.torque, (worst.t, law), note)]
 
 
 def _load(cause: _Cause) -> list[Evidence]:

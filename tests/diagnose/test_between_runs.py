@@ -53,7 +53,7 @@ def test_runs_of_one_supply_show_no_difference() -> None:
 
 @pytest.mark.parametrize("shares", [(0.5, 1.6, 0.7, 1.3, 0.9), (1.0,) * 5])
 def test_friction_that_differs_from_run_to_run_is_told_with_its_spread(shares: tuple[float, ...]) -> None:
-    """Each run of the independent generator with a friction of its own: told are the value and by how much it differs."""
+    """Each run of the independent generator with its own friction: told are the value and by how much it differs."""
     case = make_case(8010, [("coulomb_friction", "motor")], nominal=RIGID_AXIS, count=len(shares))
     runs = []
     for run, test, conditions, share in zip(case.runs, case.tests, case.conditions, shares, strict=True):
