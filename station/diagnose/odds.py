@@ -222,7 +222,7 @@ def estimates(found: Fit, rougher: Fit | None = None, left_out: Sequence[Fit] = 
         times = math.exp(NORMAL * deviation)
         least, most = sorted((value / times, value * times))
         constants[path] = Estimate(value=value, low=least, high=most, unit=UNITS[path],
-                                   state=found_states[i].state, spread=between)
+                                   state=found_states[i], spread=between)
     causes: dict[Key, dict[str, Estimate]] = {}
     for k, coordinate in enumerate(space.coordinates, space.parts["effects"].start):
         cls, at = space.hypothesis.effects[coordinate.effect]
@@ -237,7 +237,7 @@ def estimates(found: Fit, rougher: Fit | None = None, left_out: Sequence[Fit] = 
             ends = (-math.pi, ends[1], math.pi)
         causes.setdefault((cls.name, at), {})[coordinate.name] = Estimate(
             value=float(ends[1]), low=float(ends[0]), high=float(ends[2]), unit=coordinate.info.unit,
-            state=found_states[k].state,
+            state=found_states[k],
             spread=None if coordinate.info.periodic else _told(seen, per_step))
     for path in space.hypothesis.constants:
         causes[(f"parameter:{path}", "")] = {"value": constants[path]}

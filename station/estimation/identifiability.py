@@ -16,8 +16,7 @@ torque are traded off with each other: their ratios are determined, their common
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection
 from typing import Literal
 
 import numpy as np
@@ -34,17 +33,7 @@ MOVES, FOLLOWS = 0.5, 0.95
 """Correlations of two values from which on one moves with the other, and from which on it follows it."""
 
 
-@dataclass(frozen=True)
-class ValueState:
-    """State of one value; ``partner`` is the index of the value that it is traded off against most."""
-
-    state: State
-    partner: int | None = None
-    share: float = 0.0
-    """Of its variance, the prior's."""
-
-
-def states(covariance: np.ndarray, prior: np.ndarray, bounded: Collection[int] = ()) -> list[ValueState]:
+def states(covariance: np.ndarray, prior: np.ndarray, bounded: Collection[int] = ()) -> list[State]:
     """States of n values from their posterior and prior covariances (n, n), in the same coordinates.
 
     ``bounded``: indices of the values that stand at a bound.
@@ -54,21 +43,17 @@ def states(covariance: np.ndarray, prior: np.ndarray, bounded: Collection[int] =
     share = np.diag(covariance @ inverse @ covariance) / variance
     alone = np.diag(inverse) / np.diag(np.linalg.inv(covariance))
     correlation = np.abs(covariance / np.sqrt(np.outer(variance, variance))) - np.eye(len(variance))
-    found = []
-    for i, others in enumerate(correlation):
-        held, part = float(share[i]), float(min(share[i], 1.0))
+
+    def state(i: int, others: np.ndarray) -> State:
         if i in bounded:
-            found.append(ValueState("at_bound", None, part))
-        elif held > HALF and (alone[i] > HALF or others.max() < MOVES):
-            found.append(ValueState("not_excited", None, part))
-        elif held > HALF or others.max() > FOLLOWS:
-            found.append(ValueState("traded_off", int(np.argmax(others)), part))
-        else:
-            found.append(ValueState("determined", None, part))
-    return found
+            return "at_bound"
+        if share[i] > HALF and (alone[i] > HALF or others.max() < MOVES):
+            return "not_excited"
+        return "traded_off" if share[i] > HALF or others.max() > FOLLOWS else "determined"
+    return [state(i, others) for i, others in enumerate(correlation)]
 
 
-def parameter_states(space: Parameters, covariance: np.ndarray, x: np.ndarray) -> list[ValueState]:
+def parameter_states(space: Parameters, covariance: np.ndarray, x: np.ndarray) -> list[State]:
     """States of a hypothesis' parameters in the order of x, constants as logarithms.
 
     ``covariance`` (p, p) is the posterior's in the coordinates of x, as ``Fit.covariance`` gives it.
@@ -82,20 +67,6 @@ def parameter_states(space: Parameters, covariance: np.ndarray, x: np.ndarray) -
         if not info.periodic and coordinate.to_value(x[k]) in (info.low, coordinate.high):
             bounded.append(k)
     return states(to_logs @ covariance @ to_logs.T, prior, bounded)
-
-
-def trades(names: Sequence[str], found: Sequence[ValueState]) -> list[str]:
-    """One line per pair of values that are traded off, each pair once."""
-    seen: set[frozenset[int]] = set()
-    lines = []
-    for i, value in enumerate(found):
-        pair = frozenset((i, value.partner)) if value.partner is not None else None
-        if pair is not None and pair not in seen:
-            seen.add(pair)
-            lines.append(f"{names[i]} is traded off against {names[value.partner]}"
-                         + (f"; the rig file holds {100.0 * value.share:.0f} % of its variance"
-                            if value.share > HALF else ""))
-    return lines
 
 
 def unseen(space: Parameters) -> np.ndarray:

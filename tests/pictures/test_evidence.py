@@ -175,7 +175,8 @@ def test_the_sceptic_draws_the_run_that_misses_most():
 def test_a_cause_that_the_extended_rig_does_not_hold_is_passed_over():
     runs = made([], tests=TESTS[:1])
     causes = [("coulomb_friction", "motor"), ("parameter:clamp.nonsense", ""), ("parameter:tip.inertia", "")]
-    assert [p.kind for p in evidence(RIG, RIG, runs, causes[:2])] == ["time", "speed", "angle", "command", "load", "spectrum"]
+    assert [p.kind for p in evidence(RIG, RIG, runs, causes[:2])] == ["time", "speed", "angle", "command", "load",
+                                                                     "spectrum"]
     assert evidence(RIG, RIG, runs, causes)[-1].kind in ("time", "spectrum")
     assert evidence(RIG, RIG, [], []) == []
 
