@@ -197,7 +197,7 @@ def overlapping(one: dict[str, Cause], other: dict[str, Cause]) -> bool:
 def test_of_a_measured_rig_no_cause_is_surer_than_that_the_catalogue_holds_what_acts() -> None:
     assert plain("arm").verdict == plain("servo").verdict == "partly_explained"
     for found in (plain("arm"), plain("servo")):
-        assert 0.9 < found.causes[0].probability < 1.0 - OUTSIDE + 1e-9
+        assert 0.8 < found.causes[0].probability < 1.0 - OUTSIDE + 1e-9
         assert all(row.probability < 1.0 - OUTSIDE + 1e-9 for row in found.ranking)
 
 
@@ -206,8 +206,9 @@ def test_the_made_case_is_one_in_which_something_is_said() -> None:
 
 
 def test_a_servos_gears_lose_torque_with_their_load_whether_or_not_its_controller_is_known() -> None:
-    told, blind = plain("servo"), changed("servo", "controller and file")
-    assert told.causes and told.causes[0].effect == blind.causes[0].effect == "load_friction"
+    for found in (plain("servo"), changed("servo", "controller and file")):
+        cause = laws(found)["load_friction"]
+        assert cause.probability > 0.8 and cause.stability > 0.8
 
 
 @pytest.mark.parametrize(("change", "names"), [({"verdict": "ambiguous"}, "verdict"), ({"causes": []}, "causes")])
