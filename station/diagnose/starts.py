@@ -94,10 +94,11 @@ def far_starts(predictor: Predictor, pool: Sequence[Candidate], most: int) -> li
 def _profiles(predictor: Predictor, constants: Sequence[Candidate]) -> list[tuple[float, float]]:
     """Of each constant the least objective along it, and how many sigmas from nominal it lies.
 
-    On one mesh: a place to begin needs none that is finer.
+    On one mesh, a place to begin needs none that is finer; and by the longest horizon alone: an observer that forgets
+    corrects what a rig far from the true one does as well as what another one does.
     """
     data = first_seconds(predictor.data, SECONDS)
-    part = predictor.on(replace(data, rig=data.rig.with_fixed_mesh()))
+    part = replace(predictor, data=replace(data, rig=data.rig.with_fixed_mesh()), observers=predictor.observers[-1:])
     weighing = unknown(part)
 
     def profile(candidate: Candidate) -> tuple[float, float]:
