@@ -1,4 +1,4 @@
-"""Predictions of runs at several horizons: the compiled stepper, each time corrected by what an observer missed.
+"""Predictions of runs at a horizon or several: the compiled stepper, each time corrected by what an observer missed.
 
     e[i] = y[i] - yhat[i],   z+ = z + K e[i]/s,   d+ = d + k e[i]/s,   yhat[i+1] from z+, the logged command and phi d+
 
