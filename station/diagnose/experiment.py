@@ -33,6 +33,7 @@ from station.diagnose.result import NextExperiment, Prediction, Verdict
 from station.diagnose.selection import Selection
 from station.diagnose.thresholds import DECIDES, SETTLED, UNLIKELY, VISIBLE
 from station.diagnose.trials import OVERSHOOT, Trial, most, trials
+from station.estimation.dataset import tests_of
 from station.estimation.least_squares import Fit
 from station.estimation.likelihood import NUISANCES
 from station.estimation.noise import ACCEL_DEFAULT, QUANTISATION, correlation_time, rounding_shares
@@ -443,8 +444,7 @@ def _sigma(search: Selection) -> np.ndarray:
 def choose(search: Selection, odds: Odds, verdict: Verdict) -> Choice:
     """What to do next, by sets of causes that were fitted."""
     data = search.predictor.data
-    runs = list({id(run.t): run for run in data.runs}.values())
-    planner = Planner(data.rig, _sigma(search), search.predictor.pool, runs)
+    planner = Planner(data.rig, _sigma(search), search.predictor.pool, tests_of(data.runs))
     fitted = [(keys, p) for keys, p in odds.sets if keys in search.fits]
     best, top = fitted[0]
     rivals = [(keys, p) for keys, p in fitted[:LEADING] if p >= UNLIKELY * top]

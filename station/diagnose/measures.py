@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from station.estimation.dataset import content
 from station.estimation.noise import QUANTISATION
 from station.model.simulate import Simulation
 from station.runs.quality import between_repeats
@@ -46,9 +47,12 @@ def repeats(runs: Sequence[Run]) -> list[dict[str, float]]:
     run's signal, in the measure of an nrmse; what a simulation that knows all but chance would leave.
 
     Repeats have one controller, which is known, and one reference, or in an open loop one command, over the rows that
-    both have, at least half of the longer.  The encoder counts from where a run began, the accelerometer from its mean.
+    both have, at least half of the longer; a log is no repeat of itself. The encoder counts from where a run began, the
+    accelerometer from its mean.
     """
-    alike = [[other for other in runs if _same_test(run, other)] for run in runs]
+    logs = [content(run) for run in runs]
+    alike = [[other for other, log in zip(runs, logs, strict=True)
+              if other is run or log != own and _same_test(run, other)] for run, own in zip(runs, logs, strict=True)]
     found: list[dict[str, float]] = [{} for _ in runs]
     for k, (run, those) in enumerate(zip(runs, alike, strict=True)):
         rows = min(len(one.t) for one in those)
@@ -65,10 +69,6 @@ def repeats(runs: Sequence[Run]) -> list[dict[str, float]]:
 
 def _same_test(one: Run, other: Run) -> bool:
     rows, longest = sorted((len(one.t), len(other.t)))
-    if one is other:
-        return True
-    if one.t is other.t:        # two parts of one run
-        return False
     if 2 * rows < longest or one.metadata.controller != other.metadata.controller:
         return False
     if one.open_loop:

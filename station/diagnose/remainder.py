@@ -35,9 +35,9 @@ def remainder(predictor: Predictor, found: Fit) -> Remainder:
     """Judge the errors of a fit.
 
     The encoder's are those of the longest horizon: an observer that forgets feeds the sensor's noise back into what it
-    predicts, so that its errors are larger than the noise.  Errors count by their share.  A sum over SPAN samples has
-    the variance SPAN where errors last 1/share < SPAN samples, and (sum sqrt(share))^2 where one error lasts all
-    through.
+    predicts, so that its errors are larger than the noise.  Errors count by their share.  A sum over SPAN samples, m of
+    which count, has the variance m where errors last 1/share < SPAN samples, and (sum sqrt(share))^2 where one error
+    lasts all through.
     """
     data: Dataset = predictor.data
     size, slow = [], []

@@ -159,20 +159,28 @@ def joined(encoder: Sequence[np.ndarray], command: Sequence[np.ndarray], logged:
 
 def canonical_order(runs: Sequence[Run]) -> list[int]:
     """The order of runs by their content, so that nothing depends on the order in which files are named."""
-    def digest(run: Run) -> str:
-        parts = [run.t, run.reference, run.command, run.encoder, *([] if run.accel is None else [run.accel])]
-        return hashlib.sha256(b"".join(np.ascontiguousarray(p, dtype=float).tobytes() for p in parts)).hexdigest()
-    return sorted(range(len(runs)), key=lambda i: (digest(runs[i]), runs[i].name))
+    return sorted(range(len(runs)), key=lambda i: (content(runs[i]), runs[i].name))
+
+
+def content(run: Run) -> str:
+    """What a run holds, as a digest: of one log, however often it is given, the same."""
+    parts = [run.t, run.reference, run.command, run.encoder, *([] if run.accel is None else [run.accel])]
+    return hashlib.sha256(b"".join(np.ascontiguousarray(p, dtype=float).tobytes() for p in parts)).hexdigest()
+
+
+def tests_of(runs: Sequence[Run]) -> list[Run]:
+    """The runs, each log once: given twice, as for two parts of it, it is one test."""
+    return list({content(run): run for run in runs}.values())
 
 
 def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = None) -> Dataset:
     """Prepare runs, their gaps filled; ``windows``: the rows of each run that count (by default all that were logged).
 
-    A run that is given twice, for two parts of it, is one test of noise and clock.
+    Of a log that is given twice, for two parts of it, noise and clock are read once.
     WorkError: a run's rate is not the rig's, or some runs hold the accelerometer and this one does not.
     """
     runs = [run.filled(rig.sample_rate) for run in runs]
-    tests = list({id(run.t): run for run in runs}.values())
+    tests = tests_of(runs)
     has_accel = rig.accelerometer is not None and any(run.accel is not None for run in runs)
     for run in runs:
         if has_accel and run.accel is None:

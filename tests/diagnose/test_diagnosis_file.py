@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -56,6 +57,7 @@ MADE = {
     "one rests": (AXIS, lambda: made(RIGID_AXIS, [], [step_test(RATE, "p2", 0.0, 0.8), *TESTS[:2]])),
     "gain": (AXIS, lambda: made(STRONG_MOTOR, [])),
     "repeats": (SFLR_RIG, lambda: made(SFLR, [], [TESTS[0], TESTS[1], TESTS[0], TESTS[0]])),
+    "alone": (SFLR_RIG, lambda: made(SFLR, [], TESTS[:1])),
     "either delay": (AXIS, lambda: made(RIGID_AXIS, [effect("input_delay", "amplifier", time=0.007)])),
 }
 """The rig that a diagnosis is given, and its runs."""
@@ -90,6 +92,8 @@ def test_the_file_has_the_contracts_keys(diagnoses, name):
                          "between_runs", "outside", "ranking", "rig", "runs", "effort", "version"}
     assert said["schema"] == "station-diagnosis/1" and said["verdict"] in VERDICTS
     names = {run.name for run in runs}
+    if len(runs) == 1:
+        names |= {f"{runs[0].name} ({half} half)" for half in ("first", "second")}
     for row in said["wrong"]:
         assert {"run", "channel", "measure", "simulated", "measured"} <= set(row)
         assert row["run"] in names and row["channel"] in ("encoder", "accel")
@@ -339,3 +343,22 @@ def test_wrong_use_is_told_from_failed_work(pair):
     with pytest.raises(UsageError) as refused:
         diagnose(SFLR_RIG, [], effort="quick")
     one_line(refused.value, "run")
+
+
+def test_a_run_that_is_alone_is_judged_half_by_half_and_is_no_repeat_of_itself(diagnoses):
+    (run,), result = diagnoses("alone")
+    first, second = result.comparisons
+    assert (first.rows ^ second.rows).all() and first.rows[: len(run) // 2].all()
+    for row, comparison in zip(result.diagnosis.gain.runs, result.comparisons, strict=True):
+        assert row.repeats == {}
+        error = nrmse(run.accel[comparison.rows], comparison.before.accel[comparison.rows])
+        assert comparison.errors("accel")[0] == pytest.approx(error) == row.accel.nrmse_before
+    assert [bool(row.measured) for row in result.diagnosis.gain.runs] == [True, False], "the step is in the first half"
+
+
+def test_runs_come_back_in_the_order_given_whatever_their_names():
+    names = "step", "step (2)"
+    runs = [replace(run, name=name) for run, name in zip(made(RIGID_AXIS, [], TESTS[:2]), names, strict=True)]
+    for given in (runs, runs[::-1]):
+        found = diagnose(AXIS, given, effort="quick")
+        assert [row.run.name for row in found.comparisons] == [run.name for run in given]

@@ -281,3 +281,10 @@ def test_the_words_of_the_effects_say_what_to_look_for():
     said = _telling(frozenset([("dead_zone", "amplifier"), ("parameter:tip.mass", "")]))
     assert said == f" (dead zone: {effect_class('dead_zone').telling})" and "Coulomb friction" in said
     assert _telling(frozenset()) == _telling(frozenset([("parameter:tip.mass", "")])) == ""
+
+
+def test_a_rig_of_which_constants_are_exact_has_a_first_test() -> None:
+    """Two of one table, with a factor that they share: their covariance by itself is singular."""
+    exact = AXIS.model_copy(update={"uncertainty": {**AXIS.uncertainty, "motor": 0.5, "motor.inertia": 0.0,
+                                                    "motor.damping": 0.0}})
+    assert first_test(exact).next.test is not None

@@ -6,8 +6,10 @@ import random
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
-from station.estimation.dataset import SEGMENTS, WARM, canonical_order, dataset
+from station.errors import WorkError
+from station.estimation.dataset import CLOCK_BIAS, SEGMENTS, WARM, canonical_order, dataset
 from station.rig import load_rig
 from tests.cli.conftest import step_run
 from tests.estimation.made import AXIS, run_of, runs_of
@@ -88,3 +90,24 @@ def test_a_log_of_every_other_tick_of_the_rig_is_one_with_gaps() -> None:
     assert data.runs[0].sample_rate == AXIS.sample_rate
     assert not data.logged[0][1::2].any() and data.logged[0][::2].all()
     assert not data.share[0][:, 1::2].any()
+
+
+def test_two_parts_of_one_run_are_one_test_of_noise_and_clock() -> None:
+    run = run_of(AXIS, 60.0, "p2", "x")
+    run = replace(run, device_time=run.t, host_time=run.t + 1e-4 * np.random.default_rng(1).random(len(run)))
+    half = len(run) // 2
+    both = dataset(AXIS, [run, replace(run, name="again")], [slice(0, half), slice(half, None)])
+    alone = dataset(AXIS, [run])
+    assert both.noise_rows == alone.noise_rows and both.clock == alone.clock
+
+
+def test_a_clock_is_no_surer_for_more_runs_than_its_bias() -> None:
+    run = run_of(AXIS, 60.0, "p2", "x")
+    runs = [replace(run, encoder=run.encoder + k, device_time=run.t, host_time=run.t + 3.0) for k in range(5)]
+    assert dataset(AXIS, runs).clock == (pytest.approx(1.0), CLOCK_BIAS)
+
+
+def test_runs_of_which_one_lacks_the_accelerometer_are_refused() -> None:
+    run = step_run()
+    with pytest.raises(WorkError, match="b: no accelerometer column, but other runs have one"):
+        dataset(load_rig("sflr"), [run, replace(run, name="b", accel=None)])

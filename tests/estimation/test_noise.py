@@ -81,3 +81,14 @@ def test_a_reading_at_rest_counts_for_one_or_two_and_a_moving_one_for_all():
     assert np.all(rounding_shares(ramp)[20:-20] == 1.0)
     slow = rounding_shares(np.floor(0.05 * np.arange(2000)))[50:-50]
     assert 0.1 < slow.mean() < 0.5
+
+
+def test_rows_that_were_put_into_gaps_are_no_readings():
+    """A log of every other tick: what lies between two readings scatters less than they do."""
+    whole = made(2000, 3.0, rows=2400)
+    half = Run("half", whole.t[::2], whole.reference[::2], whole.command[::2], whole.encoder[::2], whole.accel[::2],
+               whole.metadata, n=np.arange(0, 2400, 2))
+    filled = half.filled()
+    assert len(filled) > 1.9 * len(half)
+    _, accel, rows = noise_sigmas([filled])
+    assert accel == pytest.approx(3.0, rel=0.06) and rows == 999

@@ -61,3 +61,10 @@ def test_repeatability_finds_the_noise_and_not_the_place_where_a_run_began():
     assert repeatability(runs) == 0.0
     assert repeatability(runs, "accel") == pytest.approx(2.0, rel=0.03)
     assert repeatability(runs[:1]) is None and repeatability([runs[0], second_order()]) is None
+
+
+def test_an_open_loop_has_no_step_figures_whoever_worked_out_its_command():
+    step = 100.0 * (np.arange(500) >= 100)
+    for kind in ("open", "unknown"):
+        found = quality(run_of(0.0 * step, step, step, kind=kind), 200.0)
+        assert found.overshoot is found.rise is found.settling is found.final_error is None
