@@ -18,7 +18,7 @@ from station.diagnose.collinear import collinear
 from station.diagnose.equivalences import completed, rivals, standing, with_word
 from station.diagnose.experiment import choose
 from station.diagnose.measures import floor, nrmse, step_measures
-from station.diagnose.odds import Odds, by_law, estimates, odds, with_outside
+from station.diagnose.odds import Odds, by_law, estimates, in_order, odds, with_outside
 from station.diagnose.remainder import Remainder, remainder
 from station.diagnose.result import (
     BetweenRuns,
@@ -146,11 +146,12 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     if named:
         laws = {key: spoken.causes[key] for key in said.causes if spoken.causes[key] != found.causes.get(key)}
         told = replace(told, causes={**told.causes, **laws})
+        order, told = in_order(told, said.causes, partial(_bought, search, said.causes))
     if not left.is_noise:
         told = with_outside(told)
     causes = [Cause(effect=key[0], at=key[1], probability=min(told.causes[key], 1.0), parameters=values[key],
                     stability=min(spoken.stability.get(key, 0.0), 1.0), rivals=rivals(told, said.causes, key, known))
-              for key in _in_order(search, said.causes, told)] if named else []
+              for key in order] if named else []
     extended = best.space.rig_at(best.x) if causes else nothing.space.rig_at(nothing.x)
     refit_rig = nothing.space.rig_at(nothing.x)
     shown: list[Simulation | None] = list(after) if causes else [None] * len(runs)
@@ -214,12 +215,10 @@ def _in_order_of(found: DiagnosisResult, names: list[str], order: list[int], sec
                    comparisons=sorted(found.comparisons, key=lambda c: by_run(c.run.name)))
 
 
-def _in_order(search: Selection, best: Causes, found: Odds) -> list[Key]:
-    """The stated causes by probability, as far as it is printed, then by what each buys beside the others."""
-    def bought(key: Key) -> float:
-        rest = search.fits.get(best - {key})
-        return search.score(search.fits[best]) - search.score(rest) if rest is not None else 0.0
-    return sorted(sorted(best), key=lambda key: (-round(found.causes[key], 2), -bought(key)))
+def _bought(search: Selection, best: Causes, key: Key) -> float:
+    """What a cause adds to the score of a set."""
+    rest = search.fits.get(best - {key})
+    return search.score(search.fits[best]) - search.score(rest) if rest is not None else 0.0
 
 
 def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice] | None]:

@@ -60,8 +60,8 @@ def test_the_arm_has_dry_friction() -> None:
 def test_the_servos_friction_grows_with_its_load_and_its_runs_are_met() -> None:
     """By hand, fitted to all: 25 mrad; asked of runs left out: 30."""
     result = servo()
-    (cause,) = [cause for cause in result.diagnosis.causes if cause.effect == "load_friction"]
-    assert cause.probability > SURE and cause.stability > SURE
+    cause, *_ = result.diagnosis.causes
+    assert cause.effect == "load_friction" and cause.probability > SURE and cause.stability > SURE
     errors = [np.mean(np.abs(row.run.encoder - row.after.encoder)) for row in result.comparisons if row.after]
     assert len(errors) == len(SERVO_LOGS)
     assert 1e3 * result.rig.angle_per_count * np.mean(errors) < 30.0

@@ -11,7 +11,17 @@ import numpy as np
 import pytest
 
 from station.diagnose import odds as module
-from station.diagnose.odds import RESAMPLES, Odds, by_law, estimates, normalised, odds, resamples, with_outside
+from station.diagnose.odds import (
+    RESAMPLES,
+    Odds,
+    by_law,
+    estimates,
+    in_order,
+    normalised,
+    odds,
+    resamples,
+    with_outside,
+)
 from station.diagnose.thresholds import BEYOND, OUTSIDE
 from station.estimation.dataset import dataset
 from station.estimation.least_squares import fit
@@ -189,3 +199,29 @@ def test_a_level_of_the_accelerometers_readings_is_rounded_with_them() -> None:
     rounded = {(name, key) for name, cls in catalogue().items() for key, info in cls.parameters().items()
                if info.rounded}
     assert rounded == {("accelerometer_saturation", "limit")}
+
+
+def ordered(probabilities: dict[tuple[str, str], float], bought: dict[tuple[str, str], float],
+            ) -> tuple[list[tuple[str, str]], dict[tuple[str, str], float]]:
+    found = Odds([(frozenset(probabilities), 1.0)], probabilities, 0.0, {})
+    order, told = in_order(found, frozenset(probabilities), bought.__getitem__)
+    return order, told.causes
+
+
+def test_what_a_hundred_draws_cannot_tell_apart_stands_by_what_all_data_say_and_has_one_probability() -> None:
+    """0.96 of a hundred draws is known to 0.02."""
+    order, told = ordered({FRICTION: 0.96, DEAD_ZONE: 0.99}, {FRICTION: 18.0, DEAD_ZONE: 12.0})
+    assert order == [FRICTION, DEAD_ZONE]
+    assert told == {FRICTION: pytest.approx(0.975), DEAD_ZONE: pytest.approx(0.975)}
+
+
+def test_what_is_clearly_more_probable_stands_first_whatever_all_data_say() -> None:
+    probabilities = {FRICTION: 0.85, DEAD_ZONE: 1.0, GAIN: 0.84}
+    order, told = ordered(probabilities, {FRICTION: 18.0, DEAD_ZONE: 12.0, GAIN: 20.0})
+    assert order == [DEAD_ZONE, GAIN, FRICTION]
+    assert told == {DEAD_ZONE: pytest.approx(1.0), GAIN: pytest.approx(0.845), FRICTION: pytest.approx(0.845)}
+
+
+def test_nothing_is_ordered_where_nothing_is_stated() -> None:
+    order, told = ordered({}, {})
+    assert order == [] and told == {}

@@ -207,8 +207,8 @@ def test_the_made_case_is_one_in_which_something_is_said() -> None:
 
 def test_a_servos_gears_lose_torque_with_their_load_whether_or_not_its_controller_is_known() -> None:
     for found in (plain("servo"), changed("servo", "controller and file")):
-        cause = laws(found)["load_friction"]
-        assert cause.probability > 0.8 and cause.stability > 0.8
+        cause, *_ = found.causes
+        assert cause.effect == "load_friction" and cause.probability > 0.8 and cause.stability > 0.8
 
 
 @pytest.mark.parametrize(("change", "names"), [({"verdict": "ambiguous"}, "verdict"), ({"causes": []}, "causes")])
