@@ -12,13 +12,14 @@ from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from scipy.special import expit
 from threadpoolctl import threadpool_limits
 
 from station.diagnose.collinear import collinear
 from station.diagnose.equivalences import completed, rivals, standing, with_word
 from station.diagnose.experiment import choose
 from station.diagnose.measures import floor, nrmse, step_measures
-from station.diagnose.odds import Odds, by_law, estimates, in_order, odds, with_outside
+from station.diagnose.odds import RESAMPLES, Odds, by_law, estimates, in_order, odds, resamples, with_outside
 from station.diagnose.remainder import Remainder, remainder
 from station.diagnose.result import (
     BetweenRuns,
@@ -36,11 +37,13 @@ from station.diagnose.result import (
 from station.diagnose.selection import EFFORTS, Selection, fitted, select
 from station.diagnose.thresholds import (
     FEW,
+    LOG_PRIOR,
     NOISE,
     OUTSIDE,
     SHOWN_COUNTS,
     SHOWN_SETTLING,
     SHOWN_SHARE,
+    STABLE,
     VARIES,
 )
 from station.diagnose.validation import (
@@ -161,10 +164,9 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     choice = choose(search, found, decision)
     decided = decision in ("explained", "nothing_missing") and len(given) >= FEW
     ranking = _ranking(search, told, densities)
-    share, constant = differences(chosen, search.weighing, VARIES)
-    differing = [] if share is None and constant is None else [
-        OwnOfRun(run=name, share=own[2], constant=own[3]) for name, own in zip(names, best.own.tolist(), strict=True)]
-    between = BetweenRuns(share=share, constant=constant, runs=differing)
+    between = _between(search, chosen, [OwnOfRun(run=name, share=own[2], constant=own[3])
+                                        for name, own in zip(names, best.own.tolist(), strict=True)],
+                       1.0 if left.is_noise else 1.0 - OUTSIDE)
     diagnosis = Diagnosis(
         verdict=decision, wrong=_wrong(comparisons, data.noise), causes=causes, gain=bought,
         next_experiment=with_word(None if decided else choice.next, decision, told, said.causes, known),
@@ -219,6 +221,19 @@ def _bought(search: Selection, best: Causes, key: Key) -> float:
     """What a cause adds to the score of a set."""
     rest = search.fits.get(best - {key})
     return search.score(search.fits[best]) - search.score(rest) if rest is not None else 0.0
+
+
+def _between(search: Selection, found: Fit, runs: list[OwnOfRun], inside: float) -> BetweenRuns:
+    """In what runs differ; each as probable, before what is kept for something unknown, as a further cause would be."""
+    told = {}
+    for name, seen in zip(("share", "constant"), differences(found, search.weighing, resamples(search)), strict=True):
+        stability = float(np.mean(2.0 * seen.log_odds > VARIES))
+        if seen.gained > VARIES and stability >= STABLE:
+            told[name] = seen.size, inside * float(np.mean(expit(seen.log_odds[-RESAMPLES:] + LOG_PRIOR))), stability
+    return BetweenRuns(**{name: size for name, (size, _, _) in told.items()},
+                       probability={name: probability for name, (_, probability, _) in told.items()},
+                       stability={name: stability for name, (_, _, stability) in told.items()},
+                       runs=runs if told else [])
 
 
 def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice] | None]:

@@ -129,6 +129,10 @@ class BetweenRuns(_Table):
     """Of the command."""
     constant: float | None = None
     """Counts of the command."""
+    probability: dict[str, float] = Field(default_factory=dict)
+    """That runs differ so, of ``share`` and ``constant`` as far as they are told."""
+    stability: dict[str, float] = Field(default_factory=dict)
+    """Share of resamples of the data that show it."""
     runs: list[OwnOfRun] = Field(default_factory=list)
     """Each run's own, where they differ."""
 

@@ -286,10 +286,14 @@ class Fit:
 
         Under another weighing, or of a resample, one Gauss-Newton step is taken from the fit.
         """
+        return float(self.log_evidences(weighing, np.array(weighing.differ), drawn))
+
+    def log_evidences(self, weighing: Weighing, sizes: np.ndarray, drawn: np.ndarray | None = None) -> np.ndarray:
+        """(...) the same where runs differ by ``sizes`` (..., 2) in place of ``weighing.differ``."""
         squares, counts, independent = self.drawn(weighing, drawn)
-        value, volume, _ = self._integrated(*self._by_run(weighing, drawn), self.own_precision(weighing.differ),
-                                            MOST_GAINED)
-        return float(0.5 * (volume - value)) - 0.5 * cost(squares, counts, independent) / weighing.temperature
+        value, volume, _ = self._integrated(*self._by_run(weighing, drawn), self.own_precision(sizes), MOST_GAINED)
+        return 0.5 * (volume - value) - 0.5 * cost(squares, counts, independent) / weighing.temperature
+
 
 MOST_GAINED = 20.0
 """What a step that is not simulated may be expected to gain of the data's part of the objective."""

@@ -16,7 +16,7 @@ the spread as a share of the value.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -70,15 +70,25 @@ def between_runs(found: Fit, direction: np.ndarray) -> Spread:
     return Spread(size, -float(best.fun), np.linalg.inv(loosened))
 
 
-def differences(found: Fit, weighing: Weighing, varies: float) -> tuple[float | None, float | None]:
-    """How much runs differ in what the motor does more than the rig says, as ``Weighing.differ`` has it; None where
-    that gains no more than ``varies`` in 2 ln L."""
-    likely = found.most_likely_differ(weighing)
+@dataclass(frozen=True)
+class Difference:
+    """By how much runs differ in something that the motor does more than the rig says."""
 
-    def evidence(differ: tuple[float, float]) -> float:
-        return found.log_evidence(replace(weighing, differ=differ))
+    size: float
+    """Standard deviation from run to run."""
+    gained: float
+    """2 ln L gained by it over runs that are alike."""
+    log_odds: np.ndarray
+    """(k) ln of the evidence for it, in every resample."""
 
-    whole = evidence(likely)
-    share, constant = (size if 2.0 * (whole - evidence(without)) > varies else None
-                       for size, without in zip(likely, ((0.0, likely[1]), (likely[0], 0.0)), strict=True))
-    return share, constant
+
+def differences(found: Fit, weighing: Weighing, drawn: np.ndarray) -> tuple[Difference, Difference]:
+    """In the share of the command and in the constant that ``Weighing.differ`` has, each judged beside the other;
+    ``drawn`` (k, s): how often each stretch counts in every resample."""
+    share, constant = found.most_likely_differ(weighing)
+    sizes = np.array([[share, constant], [0.0, constant], [share, 0.0]])
+    whole, *draws = (found.log_evidences(weighing, sizes, weights) for weights in (None, *drawn))
+    resampled = np.array(draws).reshape(-1, 3)
+    first, second = (Difference(size, float(2.0 * (whole[0] - whole[k])), resampled[:, 0] - resampled[:, k])
+                     for k, size in ((1, share), (2, constant)))
+    return first, second

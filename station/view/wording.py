@@ -393,14 +393,14 @@ def between_runs(diagnosis: Diagnosis) -> str:
     found = diagnosis.between_runs
     if found is None:
         return ""
-    sizes = [f"{percent(found.share)} of its command" if found.share is not None else "",
-             f"{number(found.constant, 2)} counts of it" if found.constant is not None else ""]
-    told = " and ".join(filter(None, sizes))
+    sizes = {"share": f"{percent(found.share)} of its command", "constant": f"{number(found.constant, 2)} counts"}
+    told = " and ".join(f"{size} ({percent(found.probability[name])} probable)" for name, size in sizes.items()
+                        if name in found.probability)
     if not told:
         return ""
-    words = (f"From run to run the motor does more or less by {told} (standard deviations), as no cause with one value "
-             "for all runs can")
-    if found.share is None or not found.runs:
+    words = (f"From run to run the motor does more or less by {told}, as no cause with one value for all runs can "
+             "(standard deviations)")
+    if found.share is None:
         return f"{words}."
     least, most = (pick(found.runs, key=lambda row: row.share) for pick in (min, max))
     return (f"{words}: from {percent(least.share)} in {least.run} to {percent(most.share)} in {most.run}. A supply "

@@ -39,6 +39,7 @@ def test_a_supply_that_differs_is_told_run_by_run_and_nothing_is_named_for_it(hi
     assert [(cause.effect, cause.at) for cause in said.causes] == hidden
     between = said.between_runs
     assert between is not None and between.share == pytest.approx(np.std(SHARES), rel=0.3)
+    assert between.probability["share"] > 0.8 and between.stability["share"] > 0.8
     told, true = 1.0 + np.array([row.share for row in between.runs]), 1.0 + np.array(SHARES)
     assert told / told.mean() == pytest.approx(true / true.mean(), abs=0.03)
     words = wording.between_runs(said)
@@ -49,6 +50,7 @@ def test_runs_of_one_supply_show_no_difference() -> None:
     case = make_case(8010, [("coulomb_friction", "motor")], nominal=RIGID_AXIS, count=len(SHARES))
     said = diagnose(Rig.model_validate(RIGID_AXIS), case.runs, effort="quick").diagnosis
     assert said.between_runs is not None and said.between_runs.share is None and said.between_runs.runs == []
+    assert said.between_runs.probability == said.between_runs.stability == {}
 
 
 @pytest.mark.parametrize("shares", [(0.5, 1.6, 0.7, 1.3, 0.9), (1.0,) * 5])

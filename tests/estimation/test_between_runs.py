@@ -56,17 +56,25 @@ def varied() -> Fit:
     return fitted(OFFSETS, SHARES)
 
 
+def drawn(found: Fit) -> np.ndarray:
+    """(20, stretches) weights of the Bayesian bootstrap."""
+    return np.random.default_rng(5).exponential(size=(20, len(found.owner)))
+
+
 def test_sizes_and_each_runs_own_are_found(varied: Fit) -> None:
-    share, constant = differences(varied, varied.weighing, VARIES)
-    assert constant == pytest.approx(np.sqrt(np.mean(OFFSETS**2)), rel=0.3)
-    assert share == pytest.approx(np.sqrt(np.mean(SHARES**2)), rel=0.4)
+    share, constant = differences(varied, varied.weighing, drawn(varied))
+    assert constant.size == pytest.approx(np.sqrt(np.mean(OFFSETS**2)), rel=0.3)
+    assert share.size == pytest.approx(np.sqrt(np.mean(SHARES**2)), rel=0.4)
+    for seen in (share, constant):
+        assert seen.gained > VARIES and np.all(2.0 * seen.log_odds > VARIES)
     np.testing.assert_allclose(varied.own[:, 3], OFFSETS, atol=0.5)
     assert np.corrcoef(varied.own[:, 2], SHARES)[0, 1] > 0.95
 
 
 def test_runs_that_are_alike_do_not_differ() -> None:
     found = fitted(np.zeros(6), np.zeros(6))
-    assert differences(found, found.weighing, VARIES) == (None, None)
+    for seen in differences(found, found.weighing, drawn(found)):
+        assert seen.gained < VARIES and np.mean(2.0 * seen.log_odds > VARIES) < 0.1
     assert np.abs(found.own[:, 2]).max() < 0.003 and np.abs(found.own[:, 3]).max() < 0.1
 
 
