@@ -143,7 +143,7 @@ def _gain(result: DiagnosisResult, apart: Run) -> RunComparison:
         errors = (nrmse(getattr(apart, channel), getattr(made, channel)) for made in (before, refit, after))
         row(shown, f"   {name}", *(f"{100.0 * error:.1f} %" for error in errors))
     console().print(shown)
-    return RunComparison(apart, before, refit, after, held_out=True)
+    return RunComparison(apart, before, refit, after)
 
 
 def told(effect: Effect, diagnosis: Diagnosis | None) -> list[str]:

@@ -10,6 +10,8 @@ from contextlib import contextmanager, nullcontext, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from station.errors import printable
+
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
@@ -17,11 +19,6 @@ if TYPE_CHECKING:
 PIPED_WIDTH = 200
 STDOUT = "-"
 """For `--json`: standard output."""
-
-
-def printable(text: object) -> str:
-    """``text`` with every character that a terminal might obey written as an escape."""
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in str(text))
 
 
 def one_line(text: object, limit: int = 600) -> str:

@@ -188,13 +188,12 @@ class Diagnosis(_Table):
 
 @dataclass(frozen=True)
 class RunComparison:
-    """One run beside three simulations; ``after`` never saw the run where ``held_out``."""
+    """One run beside three simulations, none of which has seen it."""
 
     run: Run
     before: Simulation
     refit: Simulation
     after: Simulation | None
-    held_out: bool = True
     part: slice = field(default_factory=lambda: slice(None))
     """The rows that it is judged by: of a run that is alone one half."""
 

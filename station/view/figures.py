@@ -266,7 +266,7 @@ def _by_lag(figure: go.Figure, row: int, lines: dict[int, tuple[np.ndarray, np.n
 def hero_choice(result: DiagnosisResult) -> tuple[RunComparison, str] | None:
     """The run and channel that show best what the simulation gets wrong.
 
-    The first entry of ``wrong`` names them; otherwise the held-out run with the largest error of its angle.
+    The first entry of ``wrong`` names them; otherwise the run with the largest error of its angle.
     """
     if not result.comparisons:
         return None
@@ -274,9 +274,7 @@ def hero_choice(result: DiagnosisResult) -> tuple[RunComparison, str] | None:
     for wrong in result.diagnosis.wrong:
         if wrong.run in by_name and wrong.channel in channels(by_name[wrong.run]):
             return by_name[wrong.run], wrong.channel
-    candidates = [c for c in result.comparisons if c.held_out] or result.comparisons
-
-    return max(candidates, key=lambda c: c.errors("encoder")[0] or 0.0), "encoder"
+    return max(result.comparisons, key=lambda c: c.errors("encoder")[0] or 0.0), "encoder"
 
 
 def _channels_of(found: list[Residual]) -> list[str]:

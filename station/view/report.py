@@ -53,7 +53,6 @@ class GainRow:
     run: int
     name: str
     channel: str
-    held_out: bool
     before: float | None
     refit: float | None
     after: float | None
@@ -255,7 +254,7 @@ class _Page:
         for number, c in enumerate(self.result.comparisons, start=1):
             for channel in figures.channels(c):
                 before, refit, after = c.errors(channel)
-                rows.append(GainRow(number, c.run.name, wording.CHANNELS[channel], c.held_out, before, refit, after,
+                rows.append(GainRow(number, c.run.name, wording.CHANNELS[channel], before, refit, after,
                                     repeats.get(c.run.name, {}).get(channel)))
         return rows
 
@@ -372,5 +371,4 @@ class _Page:
         return {"began": str(facts.entries().get("began") or "")[:16].replace("T", " "),
                 "test": wording.test_words(facts.test), "controller": wording.test_words(facts.controller),
                 "samples": f"{len(run.t)} at {run.sample_rate:.0f} Hz", "start": facts.start,
-                "use": ("held out" if comparison.held_out else "used in the fit")
-                + (f", predicted {UNKNOWN_AHEAD:g} s ahead" if wording.is_predicted(run) else "")}
+                "use": "held out" + (f", predicted {UNKNOWN_AHEAD:g} s ahead" if wording.is_predicted(run) else "")}

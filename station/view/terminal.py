@@ -11,6 +11,7 @@ from rich.text import Text
 
 from station.diagnose.result import Diagnosis, DiagnosisResult, RunComparison
 from station.diagnose.validation import UNKNOWN_AHEAD
+from station.errors import printable
 from station.view import wording
 
 RANKED = 6
@@ -70,9 +71,9 @@ def print_comparison(comparisons: Sequence[RunComparison], console: Console,
                 continue
             errors = [wording.percent(error) for error in c.errors(channel)]
             between = [wording.percent(repeats.get(c.run.name, {}).get(channel)) for _ in extra]
-            rows.append((c.run.name, words, *errors, *between, "held out" if c.held_out else "in the fit"))
-    console.print(_table("Error, share of the signal",
-                         ["run", "channel", "before", "re-fitted", "after", *extra, ""], rows))
+            rows.append((c.run.name, words, *errors, *between))
+    console.print(_table("Error on runs that no fit has seen, share of the signal",
+                         ["run", "channel", "before", "re-fitted", "after", *extra], rows))
     if any(wording.is_predicted(c.run) for c in comparisons):
         console.print(f"Runs whose controller is unknown are predicted {UNKNOWN_AHEAD:g} s ahead; the others are "
                       "simulated as a whole.")
@@ -106,4 +107,4 @@ def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) ->
 
 def _plain(text: str) -> Text:
     """Text from files as it is: no markup, and no character that a terminal obeys."""
-    return Text("".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text))
+    return Text(printable(text))

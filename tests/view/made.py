@@ -87,7 +87,7 @@ def comparisons() -> tuple[RunComparison, ...]:
         run = Run(name, true.t, reference, true.command, true.encoder,
                   np.round(true.accel + rng.normal(0.0, 2.0, n)), facts)
         made.append(RunComparison(run, move(reference, gain, 0.0), move(reference, gain, 0.004, 0.97),
-                                  move(reference, gain, 0.0305, 1.003), held_out=name != "pulse-open"))
+                                  move(reference, gain, 0.0305, 1.003)))
     return tuple(made)
 
 
@@ -142,7 +142,7 @@ def result(verdict: str = "explained", rig: Rig | None = None, runs: int = 5) ->
     named = verdict in ("explained", "partly_explained", "ambiguous")
     causes = [friction, mass][: 2 if verdict == "partly_explained" else 1] if named else []
     if not named:
-        made = tuple(RunComparison(c.run, c.before, c.refit, None, c.held_out) for c in made)
+        made = tuple(RunComparison(c.run, c.before, c.refit, None) for c in made)
     effect = effect_class("coulomb_friction")(at="motor", torque=0.0305)
     encoder, accel = (gain_of(comparisons()[:runs], c) for c in ("encoder", "accel")) if runs else (None, None)
     if runs and not named:
@@ -157,7 +157,7 @@ def result(verdict: str = "explained", rig: Rig | None = None, runs: int = 5) ->
     diagnosis = Diagnosis(
         verdict=verdict, outside=OUTSIDE if verdict in ("partly_explained", "unexplained") else 0.0, causes=causes,
         wrong=wrong if verdict != "nothing_missing" else [],
-        gain=Gain(held_out=[c.run.name for c in made if c.held_out], encoder=encoder, accel=accel,
+        gain=Gain(held_out=[c.run.name for c in made], encoder=encoder, accel=accel,
                   explained_fraction=0.93 if named else None, runs=[RunGain(
                       run=c.run.name, ahead={"0.1 s": ChannelGain(nrmse_before=0.04, nrmse_after=0.011)},
                       **{name: dict(zip(("overshoot_percent", "rise_time", "settling_time"), figures, strict=True))

@@ -108,7 +108,7 @@ def test_the_hero_is_what_the_diagnosis_says_is_wrong() -> None:
     comparison, channel = figures.hero_choice(made.result()) or (None, "")
     assert comparison is not None and (comparison.run.name, channel) == ("step-kp2", "encoder")
     other, _ = figures.hero_choice(made.result("nothing_missing")) or (None, "")
-    assert other is not None and other.run.name == "pulse-open-back"       # the largest error of a run held out
+    assert other is not None and other.run.name == "pulse-open"       # the largest error
 
 
 def test_lines_differ_without_colour() -> None:

@@ -123,7 +123,7 @@ def test_the_terminal_shows_causes_candidates_and_gain() -> None:
     print_diagnosis(made.result(), Console(file=out, width=140))
     for words in ("Coulomb friction at the motor", "93 %", "0.1 s ahead", "4.0 % → 1.1 %", "not settled",
                   "0.0305 N m (0.0291 to 0.0319)", "does not help on unseen runs",
-                  "held out",
+                  "no fit has seen",
                   "Next: station run pulse --port PORT --rig RIG --amplitude 25 --duration 2 --out pulse-25.mcap"):
         assert words in out.getvalue(), words
 
