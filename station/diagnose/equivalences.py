@@ -24,8 +24,9 @@ What the uncertainties alone could undo accuses nobody anyway: the re-fitted rig
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -37,8 +38,8 @@ from station.diagnose.odds import Odds, normalised
 from station.diagnose.result import NextExperiment, Rival, Verdict
 from station.diagnose.thresholds import BELIEVABLE, LISTED, LOG_PRIOR, LOG_PRIOR_PARAMETER, SURE
 from station.estimation.dataset import Dataset
-from station.estimation.parameters import WIDE, Key
-from station.model.effects import Effect, Stage, effect_class
+from station.estimation.parameters import WIDE, Key, Sizes
+from station.model.effects import Stage, effect_class
 from station.model.units import UNITS, UnknownUnitError, dimension, powers
 from station.rig import Rig
 
@@ -110,13 +111,13 @@ def rescaled(rig: Rig, torque: float = 1.0, length: float = 1.0, time: float = 1
     return rig.with_constants(constants).with_effects(effects)
 
 
-def _key(effect: Effect) -> Key:
-    return effect.name, effect.at
+def _sizes(rig: Rig) -> Sizes:
+    return {(e.name, e.at): e.values() for e in rig.effects}
 
 
-def _with(rig: Rig, without: Sequence[Key], values: dict[Key, dict[str, float]]) -> Rig:
+def _with(rig: Rig, without: Collection[Key], values: Sizes) -> Rig:
     """The rig with some effects replaced by others."""
-    kept = [e for e in rig.effects if _key(e) not in without]
+    kept = [e for e in rig.effects if (e.name, e.at) not in without]
     return rig.with_effects([*kept, *(effect_class(name)(at=at, **v) for (name, at), v in values.items())])
 
 
@@ -130,21 +131,15 @@ def _paths(causes: frozenset[Key]) -> list[str]:
 
 def moves_by_itself(rig: Rig, setting: Setting) -> bool:
     """Whether some torque acts from sample 0 of a released run without a command: then time 0 is marked in the data."""
-    state = [0.0] * 8
-    for effect in rig.effects:
-        for angle in setting.released:
-            at_rest = (angle, 0.0, 0.0) if effect.stage is Stage.TORQUE else (0.0, 0.0, rig.amplifier.limit)
-            if effect.stage not in (Stage.TORQUE, Stage.COMMAND):
-                continue
-            if type(effect).law(*at_rest, effect.arguments(rig), state, rig.period) != 0.0:
-                return True
-    return False
+    state, unasked = [0.0] * 8, (0.0, 0.0, rig.amplifier.limit)
+    return any(type(effect).law(*((angle, 0.0, 0.0) if effect.stage is Stage.TORQUE else unasked),
+                                effect.arguments(rig), state, rig.period) != 0.0
+               for effect in rig.effects if effect.stage in (Stage.TORQUE, Stage.COMMAND) for angle in setting.released)
 
 
 def _late(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
     """Only (input + encoder) and (input + accelerometer) show; one of the delays can always be traded away."""
-    times = {_key(e): next(iter(e.values().values())) for e in rig.effects
-             if _key(e) in causes and _key(e) in (INPUT, ENCODER, ACCEL)}
+    times = {key: sizes["time"] for key, sizes in _sizes(rig).items() if key in causes & {INPUT, ENCODER, ACCEL}}
     if not times or moves_by_itself(rig, setting):
         return []
     sums = {key: times.get(INPUT, 0.0) + times.get(key, 0.0)
@@ -156,23 +151,16 @@ def _late(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
         other = (causes - frozenset(times)) | frozenset(new)
         # A side that keeps all that is named and adds to it names no rival in anything's place.
         if frozenset(new) <= setting.allowed and not other >= causes:
-            found.append(Side(other, _with(rig, list(times), {k: {"time": t} for k, t in new.items()}),
+            found.append(Side(other, _with(rig, times, {k: {"time": t} for k, t in new.items()}),
                               LOG_PRIOR * (len(other) - len(causes))))
     return found
-
-
-def _log_density(logs: np.ndarray, covariance: np.ndarray, directions: np.ndarray) -> float:
-    """ln N of the logs (n) with the directions (k, n) projected out, up to a constant of n and k."""
-    basis = scipy.linalg.null_space(directions) if len(directions) else np.eye(logs.size)
-    seen, spread = basis.T @ logs, basis.T @ covariance @ basis
-    return float(-0.5 * seen @ np.linalg.solve(spread, seen) - 0.5 * np.linalg.slogdet(spread)[1])
 
 
 class _Constants:
     """The prior of a rig's constants and the directions of its units."""
 
     def __init__(self, causes: frozenset[Key], rig: Rig, setting: Setting) -> None:
-        self.causes, self.rig, self.setting = causes, rig, setting
+        self.causes, self.setting = causes, setting
         self.paths = list(setting.rig.constants())
         nominal, values = setting.rig.constants(), rig.constants()
         self.logs = np.array([math.log(values[p] / nominal[p]) for p in self.paths])
@@ -191,9 +179,14 @@ class _Constants:
 
     def log_odds(self, other: frozenset[Key], directions: Sequence[np.ndarray]) -> float:
         """Of another set against the one named, before the data, where the data leave these directions open."""
-        open_ = np.array(directions).reshape(-1, len(self.paths))
-        return (LOG_PRIOR * (len(other) - len(self.causes)) + _log_density(self.logs, self.covariance(other), open_)
-                - _log_density(self.logs, self.covariance(self.causes), open_))
+        basis = scipy.linalg.null_space(np.array(directions)) if directions else np.eye(self.logs.size)
+        seen = basis.T @ self.logs
+
+        def log_density(causes: frozenset[Key]) -> float:
+            spread = basis.T @ self.covariance(causes) @ basis
+            return float(-0.5 * seen @ np.linalg.solve(spread, seen) - 0.5 * np.linalg.slogdet(spread)[1])
+
+        return LOG_PRIOR * (len(other) - len(self.causes)) + log_density(other) - log_density(self.causes)
 
     def believable(self, added: Sequence[Key]) -> Iterator[tuple[frozenset[Key], float]]:
         """Sets, and their log odds, in which one of ``added`` takes the place of one or more wrong constants."""
@@ -218,26 +211,24 @@ def _clock_sigma(rig: Rig) -> float:
     return math.exp(WIDE) * max(abs(math.log(g["ratio"])) for g in effect_class(CLOCK[0]).guesses(rig, CLOCK[1]))
 
 
-def _unit(which: int) -> Callable[[frozenset[Key], Rig, Setting], list[Side]]:
+def _unit(which: int, causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
     """Another constant takes over what one unit (0 torque, 1 length) lets move; see the module."""
-    def sides(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
-        found = []
-        known = _Constants(causes, rig, setting)
-        direction = powers(known.paths, which)
-        if not _paths(causes) or not np.any(direction):
-            return []
-        bearers = [_constant(p) for p, power in zip(known.paths, direction, strict=True) if power]
-        if which == 0 and GAIN in causes:
-            factor = setting.rig.motor.gain / rig.motor.gain
-            other = (causes | set(bearers)) - {GAIN}
-            found.append(Side(other, rescaled(rig, torque=factor), known.log_odds(other, known.units)))
-        others = [d for d in known.units if not np.array_equal(d, direction)]
-        for other, log_odds in known.believable(bearers):
-            if known.log_odds(other, others) < math.log(BELIEVABLE):
-                factor = math.exp(known.along(other, direction))
-                found.append(Side(other, rescaled(rig, **{("torque", "length")[which]: factor}), log_odds))
-        return found
-    return sides
+    known = _Constants(causes, rig, setting)
+    direction = powers(known.paths, which)
+    if not _paths(causes) or not np.any(direction):
+        return []
+    found = []
+    bearers = [_constant(p) for p, power in zip(known.paths, direction, strict=True) if power]
+    if which == 0 and GAIN in causes:
+        factor = setting.rig.motor.gain / rig.motor.gain
+        other = (causes | set(bearers)) - {GAIN}
+        found.append(Side(other, rescaled(rig, torque=factor), known.log_odds(other, known.units)))
+    others = [d for d in known.units if not np.array_equal(d, direction)]
+    for other, log_odds in known.believable(bearers):
+        if known.log_odds(other, others) < math.log(BELIEVABLE):
+            factor = math.exp(known.along(other, direction))
+            found.append(Side(other, rescaled(rig, **{("torque", "length")[which]: factor}), log_odds))
+    return found
 
 
 def _time(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
@@ -246,7 +237,7 @@ def _time(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
         return []
     known = _Constants(causes, rig, setting)
     if CLOCK in causes:
-        ratio = next(e for e in rig.effects if _key(e) == CLOCK).values()["ratio"]
+        ratio = _sizes(rig)[CLOCK]["ratio"]
         moved = {_constant(p) for p, power in zip(known.paths, known.time, strict=True) if power}
         other = (causes | moved) - {CLOCK}
         return [Side(other, rescaled(_with(rig, [CLOCK], {}), time=1.0 / ratio), known.log_odds(other, known.units))]
@@ -275,9 +266,8 @@ def _tilt(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
     """Without a drive a tilt is a ripple of one cycle per turn."""
     if rig.drive is not None or TILT not in causes or RIPPLE in causes or RIPPLE not in setting.allowed:
         return []
-    tilt = next(e for e in rig.effects if _key(e) == TILT).values()
-    phase = math.pi - tilt["angle"]
-    ripple = {"amplitude": tilt["torque"], "cycles": 1.0, "phase": math.remainder(phase, 2.0 * math.pi)}
+    tilt = _sizes(rig)[TILT]
+    ripple = {"amplitude": tilt["torque"], "cycles": 1.0, "phase": math.remainder(math.pi - tilt["angle"], math.tau)}
     return [Side((causes - {TILT}) | {RIPPLE}, _with(rig, [TILT], {RIPPLE: ripple}), LOG_PRIOR_PARAMETER)]
 
 
@@ -316,7 +306,7 @@ TABLE: tuple[Equivalence, ...] = (
         "and q'', so all but g times 1/s is g times s. On a rigid axis gain, inertia and damping show as two ratios.",
         "motor.gain is named; or another constant, for which another one of no more causes is believable.",
         "measure one torque or one inertia by itself, such as the motor's stall torque on a lever and a balance",
-        _unit(0)),
+        partial(_unit, 0)),
     Equivalence(
         "unit of length",
         "A beam that is longer, with mass_per_length, tip.mass, flexural_rigidity and accelerometer.gain to match, "
@@ -326,7 +316,7 @@ TABLE: tuple[Equivalence, ...] = (
         "beam.damping and all rotary constants unchanged. The tip's acceleration is s times as large, "
         "accelerometer.gain * s^-1 reads it the same; fraction * length of accelerometer_centripetal goes with it.",
         "A constant with a length in it is named, and another one of no more causes is believable.",
-        "a ruler and a balance do: measure the beam's length and mass", _unit(1)),
+        "a ruler and a balance do: measure the beam's length and mass", partial(_unit, 1)),
     Equivalence(
         "one shaft",
         "Without a drive motor and base are one part: only the sum of their inertias shows.",
