@@ -1,8 +1,8 @@
 """Known equivalences: sets of causes that do exactly the same to every signal that a rig gives.
 
 No test of the station can tell the two sides of one apart, so a diagnosis that names one side is `ambiguous`, whatever
-the odds, and the other side's causes are its rivals.  TABLE holds all that are known, each with its proof; ``sides``
-gives the other sides as rigs, so that the proof can be tried on the model.
+the odds, and the other side's causes are its rivals.  TABLE holds all that are known, ``docs/equivalences.md`` the
+proof of each; ``sides`` gives the other sides as rigs, so that the proof can be tried on the model.
 
 **Units.**  A run holds command and encoder in counts (angles), the accelerometer in counts, and time in samples.  No
 torque, length or second stands in it.  So a change of the unit of torque, of length, or (where no second clock watched
@@ -84,8 +84,6 @@ class Equivalence:
 
     name: str
     sentence: str
-    proof: str
-    applies: str
     tells: str
     """What would tell the sides apart, since no test does."""
     sides: Callable[[frozenset[Key], Rig, Setting], list[Side]]
@@ -271,68 +269,37 @@ def _tilt(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
     return [Side((causes - {TILT}) | {RIPPLE}, _with(rig, [TILT], {RIPPLE: ripple}), LOG_PRIOR_PARAMETER)]
 
 
-TABLE: tuple[Equivalence, ...] = (
+TABLE = (
     Equivalence(
         "delays",
         "A command that acts late does exactly what the sensors (encoder, accelerometer) do where all read as late.",
-        "Rig and compensator are the same at all times. With P the rig at rest before the test, D(x) a delay of x, "
-        "a, b, c the delays of input, encoder and accelerometer: encoder = D(b) P D(a) u = D(a+b) P u and "
-        "accelerometer = D(c) P' D(a) u = D(a+c) P' u, laws that are not linear included, for P D = D P. The "
-        "compensator sees these readings and no others, so a closed loop is the same too. Only a+b and a+c show: "
-        "{input a} = {encoder a, accelerometer a}; {input a, encoder b} = {encoder a+b, accelerometer a}; "
-        "{input a, accelerometer c} = {encoder a, accelerometer a+c}. Without an accelerometer {input a} = "
-        "{encoder a}. No delay is negative, so an encoder or an accelerometer that is late alone has no other side.",
-        "Delays are named, at least one of them common to all sensors, and no torque acts before the command does "
-        "(command bias, tilt, cable or ripple in a run that starts released mark time 0).",
         "only a look at the hardware does, such as an oscilloscope on the amplifier's output and on the encoder's "
         "lines beside the board's samples", _late),
     Equivalence(
         "unit of time",
         "A clock that is off does exactly what constants do that are rescaled by the powers of time in them.",
-        "With the true period r T and t = r tau, M q'' + C q' + K q = F u becomes (M/r^2) d2q/dtau2 + (C/r) dq/dtau + "
-        "K q = F u, sampled every T. So the clock's ratio r is the same as inertias and masses / r^2, dampings and "
-        "beam.damping / r, accelerometer.gain / r^2 (an acceleration is / r^2 as long in tau), delays and time "
-        "constants / r, stribeck_velocity and sublinear_drag's speed * r, its coefficient / r, quadratic_drag's / r^2; "
-        "stiffnesses, torques, angles, counts and the compensator, whose recursion counts samples, stay.",
-        "No run has both host_time and device_time of real clocks; where they do, their regression decides.",
         "log with host_time beside device_time (station run does): a second clock decides", _time),
     Equivalence(
         "unit of torque",
         "A motor gain that is off does exactly what all inertias, dampings, stiffnesses and torques do that are off "
         "by the inverse.",
-        "M q'' + C q' + K q = g u + torques of effects, times any factor s, has the same solution q. M, C, K are "
-        "linear in motor.inertia, motor.damping, drive, base, clamp, mass_per_length, flexural_rigidity, tip.mass and "
-        "tip.inertia; beam.damping (a time), beam.length and accelerometer.gain stay. Encoder and accelerometer read q "
-        "and q'', so all but g times 1/s is g times s. On a rigid axis gain, inertia and damping show as two ratios.",
-        "motor.gain is named; or another constant, for which another one of no more causes is believable.",
         "measure one torque or one inertia by itself, such as the motor's stall torque on a lever and a balance",
         partial(_unit, 0)),
     Equivalence(
         "unit of length",
         "A beam that is longer, with mass_per_length, tip.mass, flexural_rigidity and accelerometer.gain to match, "
         "reads the same.",
-        "Let deflections be s times as large at equal rotations. Energies stay if length * s, mass_per_length * s^-3, "
-        "tip.mass * s^-2, flexural_rigidity * s (kinetic: m w'^2; elastic: EI w''^2 over the length), tip.inertia, "
-        "beam.damping and all rotary constants unchanged. The tip's acceleration is s times as large, "
-        "accelerometer.gain * s^-1 reads it the same; fraction * length of accelerometer_centripetal goes with it.",
-        "A constant with a length in it is named, and another one of no more causes is believable.",
         "a ruler and a balance do: measure the beam's length and mass", partial(_unit, 1)),
     Equivalence(
         "one shaft",
         "Without a drive motor and base are one part: only the sum of their inertias shows.",
-        "With one coordinate for both rotations M holds motor.inertia + base.inertia in one entry, and neither stands "
-        "anywhere else.",
-        "The rig has a base and no drive, and one of the two inertias is named.",
         "take the motor off its base", _one_shaft),
     Equivalence(
         "tilt or ripple",
         "Without a drive a tilt of the base does exactly what a torque ripple of one cycle per turn does.",
-        "-T sin(q - angle) = T sin(q + pi - angle), which is torque_ripple with amplitude T, cycles 1 and phase "
-        "pi - angle, on the one angle that motor and base share.",
-        "The rig has no drive, and gravity_tilt is named.",
         "turn the rig so that its axis points another way: a tilt turns with it, a ripple does not", _tilt),
 )
-"""All known equivalences."""
+"""All known equivalences; ``docs/equivalences.md`` proves each, and says when it applies."""
 
 
 def standing(data: Dataset, causes: frozenset[Key], rig: Rig) -> list[Standing]:
@@ -395,11 +362,3 @@ def with_word(asked: NextExperiment | None, verdict: Verdict, odds: Odds, named:
     if asked is None or settled:
         return NextExperiment(test=None, why=words)
     return NextExperiment(test=asked.test, why=f"{asked.why}. {words}")
-
-
-def as_markdown() -> str:
-    """The table for the docs."""
-    rows = ["| name | what is the same | when | what tells |", "| --- | --- | --- | --- |"]
-    rows += [f"| {e.name} | {e.sentence} | {e.applies} | {e.tells} |" for e in TABLE]
-    proofs = [f"**{e.name}.** {e.proof}" for e in TABLE]
-    return "\n".join(rows) + "\n\n" + "\n\n".join(proofs) + "\n"

@@ -26,6 +26,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from station.diagnose.candidates import candidates
 from station.diagnose.odds import Odds
@@ -147,11 +148,9 @@ class Planner:
 
     @cached_property
     def reach(self) -> float:
-        """As far as a test may take the arm from where it begins, counts: half a turn, and not beyond
-        ``limits.travel``.
+        """As far as a test may take the arm from where it begins, counts: TRAVEL, and not beyond ``limits.travel``.
 
-        Where the rig file has no such limit nobody knows how far the rig can go (an axis has ends): twice as far as
-        the runs went, but a twentieth of a turn in any case.
+        Where the rig file has none, an axis may have ends that nobody knows: FURTHER, but LITTLE in any case.
         """
         turn, limits = self.rig.encoder.counts_per_revolution, self.rig.limits
         if limits is not None and limits.travel is not None:
@@ -198,21 +197,13 @@ class Planner:
         """Whether a laboratory would run it: finite, within that share of the reach, and a closed loop follows."""
         if not (np.all(np.isfinite(forecast.mean)) and np.all(np.isfinite(forecast.spread))):
             return False
-        angle = forecast.mean[0]
-        farthest = np.max(np.abs(angle))
+        farthest = np.max(np.abs(forecast.mean[0]))
         if farthest > share * self.reach or trial.closed and farthest > 3.0 * trial.amplitude + 50.0:
             return False
         if trial.test["kind"] == "step":
-            end = angle[-round(0.3 * self.rig.sample_rate):]
+            end = forecast.mean[0, -round(0.3 * self.rig.sample_rate):]
             return bool(np.ptp(end) < trial.amplitude / 3.0 + 4.0)
         return True
-
-    def nuisances(self, scale: np.ndarray) -> np.ndarray:
-        """Rows (channels, channels n) of what starting angle and offset may do, scaled."""
-        rows = np.zeros((len(scale), *scale.shape))
-        for c, weights in enumerate(scale):
-            rows[c, c] = NUISANCES[c] * weights
-        return rows.reshape(len(scale), -1)
 
     def judged(self, trial: Trial, run: Run, forecast: Forecast, value: float, why: str, names: tuple[str, str],
                means: tuple[np.ndarray, np.ndarray], distance: float = 0.0, shown: int = 0) -> Worth:
@@ -252,6 +243,11 @@ class Planner:
         return AGAIN * value if trial.repeats(self.runs) else value
 
 
+def _nuisances(scale: np.ndarray) -> np.ndarray:
+    """Rows (channels, channels n) of what starting angle and offset may do, scaled by ``scale`` (channels, n)."""
+    return block_diag(*(sigma * weights for sigma, weights in zip(NUISANCES, scale, strict=False)))
+
+
 def absorbed(change: np.ndarray, spread: np.ndarray) -> np.ndarray:
     """change (m, n), or one row, times S^-1 = (I + spread' spread)^-1, ``spread`` (k, n): what no refit takes up."""
     inner = np.eye(len(spread)) + spread @ spread.T
@@ -262,15 +258,15 @@ def between(planner: Planner, beliefs: Sequence[Belief], odds: Sequence[float]) 
     """Judge trials by how they tell hypotheses apart; ``odds`` are the hypotheses' probabilities."""
     pairs = [(i, j) for j in range(len(beliefs)) for i in range(j)]
     weights = np.array([odds[i] * odds[j] for i, j in pairs])
-    weights = weights / weights.sum()
+    weights /= weights.sum()
 
     def leading(tried: list[Trial]) -> list[Trial]:
         """The tests in which the hypotheses differ most as they stand, LOOKED of them."""
         runs = [trial.as_run(planner.rig) for trial in tried]
         still = [planner.forecasts(belief.still, runs) for belief in beliefs]
         scores = []
-        for r, trial in enumerate(tried):
-            here = [forecasts[r].mean / planner.sigma[:, None] for forecasts in still]
+        for trial, forecasts in zip(tried, zip(*still, strict=True), strict=True):
+            here = [forecast.mean / planner.sigma[:, None] for forecast in forecasts]
             apart = np.nan_to_num([np.sum((here[i] - here[j]) ** 2) for i, j in pairs], posinf=0.0)
             scores.append(planner.worth(trial, float(weights @ (1.0 - np.exp(-apart / FAR)))))
         return [tried[r] for r in sorted(np.argsort(-np.array(scores), kind="stable")[:LOOKED])]
@@ -278,15 +274,14 @@ def between(planner: Planner, beliefs: Sequence[Belief], odds: Sequence[float]) 
     def judge(tried: list[Trial]) -> list[Worth]:
         tried = leading(tried) if len(tried) > LOOKED else tried
         runs = [trial.as_run(planner.rig) for trial in tried]
-        every = [planner.forecasts(belief, runs) for belief in beliefs]
+        every = zip(*(planner.forecasts(belief, runs) for belief in beliefs), strict=True)
         first = beliefs[0].model(beliefs[0].x)
         found = []
-        for r, (trial, run) in enumerate(zip(tried, runs, strict=True)):
-            here = [forecasts[r] for forecasts in every]
+        for trial, run, here in zip(tried, runs, every, strict=True):
             if not all(planner.behaves(trial, forecast) for forecast in here):
                 continue
             scale = planner.scales(first, run, here[0].mean)
-            nuisances = planner.nuisances(scale)
+            nuisances = _nuisances(scale)
             spreads = [np.concatenate([(forecast.spread * scale).reshape(len(forecast.spread), scale.size), nuisances])
                        for forecast in here]
             distances = []
@@ -357,7 +352,7 @@ def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]
                 change = np.stack([((output - here[r].mean) * scale).ravel() for output in outputs])
                 change[~np.all(np.isfinite(change), axis=1)] = 0.0
                 spread = np.nan_to_num((here[r].spread * scale).reshape(-1, scale.size), posinf=0.0, neginf=0.0)
-                blocks = Blocks.of(spread, change, planner.nuisances(scale))
+                blocks = Blocks.of(spread, change, _nuisances(scale))
             found.append((here[r], outputs, blocks))
         return found
 
@@ -400,13 +395,6 @@ def belief(search: Selection, found: Fit) -> Belief:
     return Belief(_words(found.key), found.x, axes, lambda x: search.predictor.model(found.space, x))
 
 
-def _plain(search: Selection, found: Fit) -> Belief:
-    """The rig of a fitted hypothesis without its effects, which cost time, and as uncertain as before any run."""
-    space = search.fits[frozenset()].space
-    x = space.carried(found.space, found.x)
-    return Belief("the rig as fitted", x, np.eye(len(x)), lambda x: search.predictor.model(space, x))
-
-
 def _addable(rig: Rig, held: frozenset[Key] = frozenset()) -> list[tuple[str, Effect]]:
     """Every effect that could join a rig, at the middle of its usual sizes."""
     return [(_words([c.key]), c.effect.model_construct(None, at=c.at, **c.guesses[(len(c.guesses) - 1) // 2]))
@@ -439,8 +427,11 @@ def choose(search: Selection, odds: Odds, verdict: Verdict) -> Choice:
             undecidable = (f"{beliefs[0].words} and {beliefs[1].words} predict the same in every test that "
                            "this station can run, within what refitted constants absorb"
                            + (f" (chi^2 = {found.distance:.1f} at most)" if found is not None else ""))
-    fit = search.fits[best]
-    judge = showing(planner, _plain(search, fit), _addable(data.rig, best), [belief(search, fit)])
+    # The rig as fitted without its effects, which cost time, and as uncertain as before any run.
+    fit, space = search.fits[best], search.fits[frozenset()].space
+    plain = Belief("the rig as fitted", space.carried(fit.space, fit.x), np.eye(space.size),
+                   lambda x: search.predictor.model(space, x))
+    judge = showing(planner, plain, _addable(data.rig, best), [belief(search, fit)])
     plan = _choice(planner.best(judge, trials(data.rig)), planner)
     if undecidable is not None:
         return Choice(NextExperiment(test=None, why=undecidable), None, plan.next, plan.unseen)
@@ -451,8 +442,7 @@ def first_test(rig: Rig) -> Choice:
     """The first test of a rig that nothing is known of but its file: the one that makes most of the catalogue visible
     and behaves wherever the stated uncertainty may put the rig."""
     rig = rig.meshed()
-    paths = list(rig.constants())
-    nominal = np.array([rig.constants()[path] for path in paths])
+    paths, nominal = list(rig.constants()), np.array(list(rig.constants().values()))
     root = np.linalg.cholesky(prior_covariance(rig, paths))
 
     def model(x: np.ndarray) -> Model:
