@@ -73,11 +73,9 @@ class _Row:
 
 def scaled(candidate: Candidate, guess: dict[str, float], factor: float) -> dict[str, float]:
     """A guess so many times its distance from neutral, within bounds."""
-    if candidate.effect is None:
-        return {}
-    moved, infos = dict(guess), candidate.effect.parameters()
+    moved = dict(guess)
     for name, value in guess.items():
-        info = infos[name]
+        info = candidate.effect.parameters()[name]
         if info.neutral is not None and math.isfinite(info.neutral) and not info.periodic:
             moved[name] = min(max(info.neutral + factor * (value - info.neutral), info.low), info.high)
     return moved
@@ -90,10 +88,7 @@ def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
     known = Linearised.of(predictor, parent)
 
     def at(candidate: Candidate, guess: dict[str, float]) -> Change | None:
-        hypothesis = parent.space.hypothesis + candidate.hypothesis
-        centres = {**parent.space.values(parent.space.mean), candidate.key: guess}
-        space = parameters(predictor.data, hypothesis, centres)
-        return known.change(space, space.carried(parent.space, parent.x, {candidate.key: guess}))
+        return known.change(*candidate.beside(predictor.data, parent, guess))
 
     def tried(task: tuple[Candidate, dict[str, float]]) -> _Row:
         candidate, guess = task
@@ -188,9 +183,8 @@ def _in_place(known: Linearised, rows: Sequence[_Row]) -> list[Exchange]:
     space, found = known.parent.space, []
     hypothesis, data = space.hypothesis, known.predictor.data
     for less in [(cls.name, at) for cls, at in hypothesis.effects]:
-        centres = {key: sizes for key, sizes in space.values(space.mean).items() if key != less}
         with suppress(*DIVERGED):
-            reduced = known.without(parameters(data, hypothesis.without(less), centres))
+            reduced = known.without(parameters(data, hypothesis.without(less), space.values(space.mean)))
             others: dict[Key, Screened] = {}
             for row in rows:
                 key = row.screened.candidate.key
@@ -209,10 +203,9 @@ def _freed(predictor: Predictor, parent: Fit, candidate: Candidate, normal: np.n
     ``normal`` (p, p) and ``slope`` (p): the data's, of the parent.
     """
     base, n = parent.space, len(parent.space.paths)
-    space = parameters(predictor.data, base.hypothesis + candidate.hypothesis, base.values(base.mean))
+    space, x = candidate.beside(predictor.data, parent, {})
     transform = np.eye(base.size)
     transform[:n, :n] = np.linalg.solve(base.root, space.root)
-    x = space.carried(base, parent.x)
 
     def cost(prior: np.ndarray, matrix: np.ndarray, slope: np.ndarray, at: np.ndarray) -> float:
         force = slope - prior * (at - base.mean)

@@ -89,11 +89,6 @@ class Selection:
             self._weighed[found] = own, found.log_evidence(own), found.log_narrowing(own)
         return self._weighed[found]
 
-    def loosest(self, found: Fit) -> Weighing:
-        """The same for sets that explain less: they may need runs to differ by as much as the rig alone does."""
-        sizes = np.maximum(self.own_weighing(found).differ, self.own_weighing(self.fits[frozenset()]).differ)
-        return replace(self.weighing, differ=(float(sizes[0]), float(sizes[1])))
-
     def score(self, found: Fit, drawn: np.ndarray | None = None) -> float:
         """Log posterior of a set of causes, up to a constant; ``drawn``: of resampled stretches."""
         hypothesis = found.space.hypothesis
@@ -302,13 +297,14 @@ def _look_back(search: Selection, found: Fit) -> None:
 def _reduced(search: Selection, found: Fit, causes: Causes) -> Fit | None:
     """Some of a set's causes alone, fitted from where the whole set ended; None where that does not simulate."""
     hypothesis = found.space.hypothesis
-    for cause in hypothesis.causes:
-        if cause not in causes:
-            hypothesis = hypothesis.without(cause)
-    centres: Sizes = {k: v for k, v in found.space.values(found.space.mean).items() if k in causes}
-    space = parameters(search.predictor.data, hypothesis, centres)
-    return attempted(search.predictor, space, search.loosest(found), space.carried(found.space, found.x), found.own,
-                     **THOROUGH)
+    for cause in found.key - causes:
+        hypothesis = hypothesis.without(cause)
+    space = parameters(search.predictor.data, hypothesis, found.space.values(found.space.mean))
+    # What explains less may need runs to differ by as much as the rig alone does.
+    share, constant = np.maximum(search.own_weighing(found).differ,
+                                 search.own_weighing(search.fits[frozenset()]).differ).tolist()
+    return attempted(search.predictor, space, replace(search.weighing, differ=(share, constant)),
+                     space.carried(found.space, found.x), found.own, **THOROUGH)
 
 
 def fitted(search: Selection, causes: Causes, whole: Causes) -> Fit:

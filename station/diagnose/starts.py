@@ -61,10 +61,9 @@ def rigid_starts(predictor: Predictor, parent: Fit, pool: Sequence[Candidate]) -
 
     The other constants begin at nominal: what the parent bent to make up for the joint leads back to it.
     """
-    base, found = parent.space, []
+    found = []
     for candidate in (c for c in pool if c.constant in JOINTS):
-        space = parameters(predictor.data, base.hypothesis + candidate.hypothesis, base.values(base.mean))
-        x = space.carried(base, parent.x)
+        space, x = candidate.beside(predictor.data, parent, {})
         found += [Start(candidate, space, _placed(space, candidate, sigmas, x), parent.own)
                   for sigmas in (RIGID[-1:] if parent.key else RIGID)]
     return found
@@ -92,7 +91,7 @@ def far_starts(predictor: Predictor, pool: Sequence[Candidate], most: int) -> li
 
 
 def _profiles(predictor: Predictor, constants: Sequence[Candidate]) -> list[tuple[float, float, Candidate]]:
-    """Of each constant the least objective along it, and how many sigmas from nominal it lies.
+    """Of each constant the least objective along it, how many sigmas from nominal that lies, and the constant.
 
     On one mesh, a place to begin needs none that is finer; and by the longest horizon alone: an observer that forgets
     corrects what a rig far from the true one does as well as what another one does.

@@ -84,9 +84,8 @@ class Trial:
 
     def complete(self) -> dict[str, Any]:
         """Every key of the test that the station can be given, and the controller."""
-        keys = {**defaults(self.test["kind"]), **self.test}
-        return {"kind": self.test["kind"], **{k: v for k, v in keys.items() if k != "kind" and v is not None},
-                "controller": dict(self.controller)}
+        keys = {"kind": None, **defaults(self.test["kind"]), **self.test}
+        return {**{k: v for k, v in keys.items() if v is not None}, "controller": dict(self.controller)}
 
     def repeats(self, runs: Iterable[Run]) -> bool:
         """Whether one of the runs is this test, or nearly so."""
