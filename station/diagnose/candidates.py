@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from station.estimation.parameters import Hypothesis
+import numpy as np
+
+from station.estimation.dataset import Dataset
+from station.estimation.least_squares import Fit
+from station.estimation.parameters import Hypothesis, Parameters, parameters
 from station.model.effects import Effect, Stage, catalogue
 from station.rig import PROFILE, Rig
 
@@ -33,9 +37,13 @@ class Candidate:
     @property
     def hypothesis(self) -> Hypothesis:
         """This cause alone."""
-        if self.effect is None:
-            return Hypothesis((), (self.constant or "",))
-        return Hypothesis(((self.effect, self.at),))
+        return Hypothesis((), (self.constant,)) if self.effect is None else Hypothesis(((self.effect, self.at),))
+
+    def beside(self, data: Dataset, fit: Fit, guess: dict[str, float]) -> tuple[Parameters, np.ndarray]:
+        """The parameters of a fit's hypothesis with this cause at a guess beside it, and where in them it begins."""
+        base = fit.space
+        space = parameters(data, base.hypothesis + self.hypothesis, {**base.values(base.mean), self.key: guess})
+        return space, space.carried(base, fit.x, {self.key: guess})
 
 
 def candidates(rig: Rig) -> list[Candidate]:

@@ -1,8 +1,8 @@
 """Known equivalences: sets of causes that do exactly the same to every signal that a rig gives.
 
 No test of the station can tell the two sides of one apart, so a diagnosis that names one side is `ambiguous`, whatever
-the odds, and the other side's causes are its rivals.  TABLE holds all that are known, each with its proof; ``sides``
-gives the other sides as rigs, so that the proof can be tried on the model.
+the odds, and the other side's causes are its rivals.  TABLE holds all that are known, ``docs/equivalences.md`` the
+proof of each; ``sides`` gives the other sides as rigs, so that the proof can be tried on the model.
 
 **Units.**  A run holds command and encoder in counts (angles), the accelerometer in counts, and time in samples.  No
 torque, length or second stands in it.  So a change of the unit of torque, of length, or (where no second clock watched
@@ -24,8 +24,9 @@ What the uncertainties alone could undo accuses nobody anyway: the re-fitted rig
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -37,8 +38,8 @@ from station.diagnose.odds import Odds, normalised
 from station.diagnose.result import NextExperiment, Rival, Verdict
 from station.diagnose.thresholds import BELIEVABLE, LISTED, LOG_PRIOR, LOG_PRIOR_PARAMETER, SURE
 from station.estimation.dataset import Dataset
-from station.estimation.parameters import WIDE, Key
-from station.model.effects import Effect, Stage, effect_class
+from station.estimation.parameters import WIDE, Key, Sizes
+from station.model.effects import Stage, effect_class
 from station.model.units import UNITS, UnknownUnitError, dimension, powers
 from station.rig import Rig
 
@@ -83,8 +84,6 @@ class Equivalence:
 
     name: str
     sentence: str
-    proof: str
-    applies: str
     tells: str
     """What would tell the sides apart, since no test does."""
     sides: Callable[[frozenset[Key], Rig, Setting], list[Side]]
@@ -110,13 +109,13 @@ def rescaled(rig: Rig, torque: float = 1.0, length: float = 1.0, time: float = 1
     return rig.with_constants(constants).with_effects(effects)
 
 
-def _key(effect: Effect) -> Key:
-    return effect.name, effect.at
+def _sizes(rig: Rig) -> Sizes:
+    return {(e.name, e.at): e.values() for e in rig.effects}
 
 
-def _with(rig: Rig, without: Sequence[Key], values: dict[Key, dict[str, float]]) -> Rig:
+def _with(rig: Rig, without: Collection[Key], values: Sizes) -> Rig:
     """The rig with some effects replaced by others."""
-    kept = [e for e in rig.effects if _key(e) not in without]
+    kept = [e for e in rig.effects if (e.name, e.at) not in without]
     return rig.with_effects([*kept, *(effect_class(name)(at=at, **v) for (name, at), v in values.items())])
 
 
@@ -130,21 +129,15 @@ def _paths(causes: frozenset[Key]) -> list[str]:
 
 def moves_by_itself(rig: Rig, setting: Setting) -> bool:
     """Whether some torque acts from sample 0 of a released run without a command: then time 0 is marked in the data."""
-    state = [0.0] * 8
-    for effect in rig.effects:
-        for angle in setting.released:
-            at_rest = (angle, 0.0, 0.0) if effect.stage is Stage.TORQUE else (0.0, 0.0, rig.amplifier.limit)
-            if effect.stage not in (Stage.TORQUE, Stage.COMMAND):
-                continue
-            if type(effect).law(*at_rest, effect.arguments(rig), state, rig.period) != 0.0:
-                return True
-    return False
+    state, unasked = [0.0] * 8, (0.0, 0.0, rig.amplifier.limit)
+    return any(type(effect).law(*((angle, 0.0, 0.0) if effect.stage is Stage.TORQUE else unasked),
+                                effect.arguments(rig), state, rig.period) != 0.0
+               for effect in rig.effects if effect.stage in (Stage.TORQUE, Stage.COMMAND) for angle in setting.released)
 
 
 def _late(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
     """Only (input + encoder) and (input + accelerometer) show; one of the delays can always be traded away."""
-    times = {_key(e): next(iter(e.values().values())) for e in rig.effects
-             if _key(e) in causes and _key(e) in (INPUT, ENCODER, ACCEL)}
+    times = {key: sizes["time"] for key, sizes in _sizes(rig).items() if key in causes & {INPUT, ENCODER, ACCEL}}
     if not times or moves_by_itself(rig, setting):
         return []
     sums = {key: times.get(INPUT, 0.0) + times.get(key, 0.0)
@@ -156,23 +149,16 @@ def _late(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
         other = (causes - frozenset(times)) | frozenset(new)
         # A side that keeps all that is named and adds to it names no rival in anything's place.
         if frozenset(new) <= setting.allowed and not other >= causes:
-            found.append(Side(other, _with(rig, list(times), {k: {"time": t} for k, t in new.items()}),
+            found.append(Side(other, _with(rig, times, {k: {"time": t} for k, t in new.items()}),
                               LOG_PRIOR * (len(other) - len(causes))))
     return found
-
-
-def _log_density(logs: np.ndarray, covariance: np.ndarray, directions: np.ndarray) -> float:
-    """ln N of the logs (n) with the directions (k, n) projected out, up to a constant of n and k."""
-    basis = scipy.linalg.null_space(directions) if len(directions) else np.eye(logs.size)
-    seen, spread = basis.T @ logs, basis.T @ covariance @ basis
-    return float(-0.5 * seen @ np.linalg.solve(spread, seen) - 0.5 * np.linalg.slogdet(spread)[1])
 
 
 class _Constants:
     """The prior of a rig's constants and the directions of its units."""
 
     def __init__(self, causes: frozenset[Key], rig: Rig, setting: Setting) -> None:
-        self.causes, self.rig, self.setting = causes, rig, setting
+        self.causes, self.setting = causes, setting
         self.paths = list(setting.rig.constants())
         nominal, values = setting.rig.constants(), rig.constants()
         self.logs = np.array([math.log(values[p] / nominal[p]) for p in self.paths])
@@ -191,9 +177,14 @@ class _Constants:
 
     def log_odds(self, other: frozenset[Key], directions: Sequence[np.ndarray]) -> float:
         """Of another set against the one named, before the data, where the data leave these directions open."""
-        open_ = np.array(directions).reshape(-1, len(self.paths))
-        return (LOG_PRIOR * (len(other) - len(self.causes)) + _log_density(self.logs, self.covariance(other), open_)
-                - _log_density(self.logs, self.covariance(self.causes), open_))
+        basis = scipy.linalg.null_space(np.array(directions)) if directions else np.eye(self.logs.size)
+        seen = basis.T @ self.logs
+
+        def log_density(causes: frozenset[Key]) -> float:
+            spread = basis.T @ self.covariance(causes) @ basis
+            return float(-0.5 * seen @ np.linalg.solve(spread, seen) - 0.5 * np.linalg.slogdet(spread)[1])
+
+        return LOG_PRIOR * (len(other) - len(self.causes)) + log_density(other) - log_density(self.causes)
 
     def believable(self, added: Sequence[Key]) -> Iterator[tuple[frozenset[Key], float]]:
         """Sets, and their log odds, in which one of ``added`` takes the place of one or more wrong constants."""
@@ -218,26 +209,24 @@ def _clock_sigma(rig: Rig) -> float:
     return math.exp(WIDE) * max(abs(math.log(g["ratio"])) for g in effect_class(CLOCK[0]).guesses(rig, CLOCK[1]))
 
 
-def _unit(which: int) -> Callable[[frozenset[Key], Rig, Setting], list[Side]]:
+def _unit(which: int, causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
     """Another constant takes over what one unit (0 torque, 1 length) lets move; see the module."""
-    def sides(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
-        found = []
-        known = _Constants(causes, rig, setting)
-        direction = powers(known.paths, which)
-        if not _paths(causes) or not np.any(direction):
-            return []
-        bearers = [_constant(p) for p, power in zip(known.paths, direction, strict=True) if power]
-        if which == 0 and GAIN in causes:
-            factor = setting.rig.motor.gain / rig.motor.gain
-            other = (causes | set(bearers)) - {GAIN}
-            found.append(Side(other, rescaled(rig, torque=factor), known.log_odds(other, known.units)))
-        others = [d for d in known.units if not np.array_equal(d, direction)]
-        for other, log_odds in known.believable(bearers):
-            if known.log_odds(other, others) < math.log(BELIEVABLE):
-                factor = math.exp(known.along(other, direction))
-                found.append(Side(other, rescaled(rig, **{("torque", "length")[which]: factor}), log_odds))
-        return found
-    return sides
+    known = _Constants(causes, rig, setting)
+    direction = powers(known.paths, which)
+    if not _paths(causes) or not np.any(direction):
+        return []
+    found = []
+    bearers = [_constant(p) for p, power in zip(known.paths, direction, strict=True) if power]
+    if which == 0 and GAIN in causes:
+        factor = setting.rig.motor.gain / rig.motor.gain
+        other = (causes | set(bearers)) - {GAIN}
+        found.append(Side(other, rescaled(rig, torque=factor), known.log_odds(other, known.units)))
+    others = [d for d in known.units if not np.array_equal(d, direction)]
+    for other, log_odds in known.believable(bearers):
+        if known.log_odds(other, others) < math.log(BELIEVABLE):
+            factor = math.exp(known.along(other, direction))
+            found.append(Side(other, rescaled(rig, **{("torque", "length")[which]: factor}), log_odds))
+    return found
 
 
 def _time(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
@@ -246,7 +235,7 @@ def _time(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
         return []
     known = _Constants(causes, rig, setting)
     if CLOCK in causes:
-        ratio = next(e for e in rig.effects if _key(e) == CLOCK).values()["ratio"]
+        ratio = _sizes(rig)[CLOCK]["ratio"]
         moved = {_constant(p) for p, power in zip(known.paths, known.time, strict=True) if power}
         other = (causes | moved) - {CLOCK}
         return [Side(other, rescaled(_with(rig, [CLOCK], {}), time=1.0 / ratio), known.log_odds(other, known.units))]
@@ -275,74 +264,42 @@ def _tilt(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
     """Without a drive a tilt is a ripple of one cycle per turn."""
     if rig.drive is not None or TILT not in causes or RIPPLE in causes or RIPPLE not in setting.allowed:
         return []
-    tilt = next(e for e in rig.effects if _key(e) == TILT).values()
-    phase = math.pi - tilt["angle"]
-    ripple = {"amplitude": tilt["torque"], "cycles": 1.0, "phase": math.remainder(phase, 2.0 * math.pi)}
+    tilt = _sizes(rig)[TILT]
+    ripple = {"amplitude": tilt["torque"], "cycles": 1.0, "phase": math.remainder(math.pi - tilt["angle"], math.tau)}
     return [Side((causes - {TILT}) | {RIPPLE}, _with(rig, [TILT], {RIPPLE: ripple}), LOG_PRIOR_PARAMETER)]
 
 
-TABLE: tuple[Equivalence, ...] = (
+TABLE = (
     Equivalence(
         "delays",
         "A command that acts late does exactly what the sensors (encoder, accelerometer) do where all read as late.",
-        "Rig and compensator are the same at all times. With P the rig at rest before the test, D(x) a delay of x, "
-        "a, b, c the delays of input, encoder and accelerometer: encoder = D(b) P D(a) u = D(a+b) P u and "
-        "accelerometer = D(c) P' D(a) u = D(a+c) P' u, laws that are not linear included, for P D = D P. The "
-        "compensator sees these readings and no others, so a closed loop is the same too. Only a+b and a+c show: "
-        "{input a} = {encoder a, accelerometer a}; {input a, encoder b} = {encoder a+b, accelerometer a}; "
-        "{input a, accelerometer c} = {encoder a, accelerometer a+c}. Without an accelerometer {input a} = "
-        "{encoder a}. No delay is negative, so an encoder or an accelerometer that is late alone has no other side.",
-        "Delays are named, at least one of them common to all sensors, and no torque acts before the command does "
-        "(command bias, tilt, cable or ripple in a run that starts released mark time 0).",
         "only a look at the hardware does, such as an oscilloscope on the amplifier's output and on the encoder's "
         "lines beside the board's samples", _late),
     Equivalence(
         "unit of time",
         "A clock that is off does exactly what constants do that are rescaled by the powers of time in them.",
-        "With the true period r T and t = r tau, M q'' + C q' + K q = F u becomes (M/r^2) d2q/dtau2 + (C/r) dq/dtau + "
-        "K q = F u, sampled every T. So the clock's ratio r is the same as inertias and masses / r^2, dampings and "
-        "beam.damping / r, accelerometer.gain / r^2 (an acceleration is / r^2 as long in tau), delays and time "
-        "constants / r, stribeck_velocity and sublinear_drag's speed * r, its coefficient / r, quadratic_drag's / r^2; "
-        "stiffnesses, torques, angles, counts and the compensator, whose recursion counts samples, stay.",
-        "No run has both host_time and device_time of real clocks; where they do, their regression decides.",
         "log with host_time beside device_time (station run does): a second clock decides", _time),
     Equivalence(
         "unit of torque",
         "A motor gain that is off does exactly what all inertias, dampings, stiffnesses and torques do that are off "
         "by the inverse.",
-        "M q'' + C q' + K q = g u + torques of effects, times any factor s, has the same solution q. M, C, K are "
-        "linear in motor.inertia, motor.damping, drive, base, clamp, mass_per_length, flexural_rigidity, tip.mass and "
-        "tip.inertia; beam.damping (a time), beam.length and accelerometer.gain stay. Encoder and accelerometer read q "
-        "and q'', so all but g times 1/s is g times s. On a rigid axis gain, inertia and damping show as two ratios.",
-        "motor.gain is named; or another constant, for which another one of no more causes is believable.",
         "measure one torque or one inertia by itself, such as the motor's stall torque on a lever and a balance",
-        _unit(0)),
+        partial(_unit, 0)),
     Equivalence(
         "unit of length",
         "A beam that is longer, with mass_per_length, tip.mass, flexural_rigidity and accelerometer.gain to match, "
         "reads the same.",
-        "Let deflections be s times as large at equal rotations. Energies stay if length * s, mass_per_length * s^-3, "
-        "tip.mass * s^-2, flexural_rigidity * s (kinetic: m w'^2; elastic: EI w''^2 over the length), tip.inertia, "
-        "beam.damping and all rotary constants unchanged. The tip's acceleration is s times as large, "
-        "accelerometer.gain * s^-1 reads it the same; fraction * length of accelerometer_centripetal goes with it.",
-        "A constant with a length in it is named, and another one of no more causes is believable.",
-        "a ruler and a balance do: measure the beam's length and mass", _unit(1)),
+        "a ruler and a balance do: measure the beam's length and mass", partial(_unit, 1)),
     Equivalence(
         "one shaft",
         "Without a drive motor and base are one part: only the sum of their inertias shows.",
-        "With one coordinate for both rotations M holds motor.inertia + base.inertia in one entry, and neither stands "
-        "anywhere else.",
-        "The rig has a base and no drive, and one of the two inertias is named.",
         "take the motor off its base", _one_shaft),
     Equivalence(
         "tilt or ripple",
         "Without a drive a tilt of the base does exactly what a torque ripple of one cycle per turn does.",
-        "-T sin(q - angle) = T sin(q + pi - angle), which is torque_ripple with amplitude T, cycles 1 and phase "
-        "pi - angle, on the one angle that motor and base share.",
-        "The rig has no drive, and gravity_tilt is named.",
         "turn the rig so that its axis points another way: a tilt turns with it, a ripple does not", _tilt),
 )
-"""All known equivalences."""
+"""All known equivalences; ``docs/equivalences.md`` proves each, and says when it applies."""
 
 
 def standing(data: Dataset, causes: frozenset[Key], rig: Rig) -> list[Standing]:
@@ -405,11 +362,3 @@ def with_word(asked: NextExperiment | None, verdict: Verdict, odds: Odds, named:
     if asked is None or settled:
         return NextExperiment(test=None, why=words)
     return NextExperiment(test=asked.test, why=f"{asked.why}. {words}")
-
-
-def as_markdown() -> str:
-    """The table for the docs."""
-    rows = ["| name | what is the same | when | what tells |", "| --- | --- | --- | --- |"]
-    rows += [f"| {e.name} | {e.sentence} | {e.applies} | {e.tells} |" for e in TABLE]
-    proofs = [f"**{e.name}.** {e.proof}" for e in TABLE]
-    return "\n".join(rows) + "\n\n" + "\n\n".join(proofs) + "\n"

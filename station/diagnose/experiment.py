@@ -20,12 +20,13 @@ Of tests of nearly equal worth the shorter and gentler one is taken.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from station.diagnose.candidates import candidates
 from station.diagnose.odds import Odds
@@ -133,6 +134,10 @@ class Worth:
         return self.distance >= DECIDES
 
 
+Judge = Callable[[list[Trial]], list[Worth]]
+"""What the trials are worth that a rig bears."""
+
+
 class Planner:
     """The noise and the rig that trials are judged with."""
 
@@ -143,11 +148,9 @@ class Planner:
 
     @cached_property
     def reach(self) -> float:
-        """As far as a test may take the arm from where it begins, counts: half a turn, and not beyond
-        ``limits.travel``.
+        """As far as a test may take the arm from where it begins, counts: TRAVEL, and not beyond ``limits.travel``.
 
-        Where the rig file has no such limit nobody knows how far the rig can go (an axis has ends): twice as far as
-        the runs went, but a twentieth of a turn in any case.
+        Where the rig file has none, an axis may have ends that nobody knows: FURTHER, but LITTLE in any case.
         """
         turn, limits = self.rig.encoder.counts_per_revolution, self.rig.limits
         if limits is not None and limits.travel is not None:
@@ -157,14 +160,9 @@ class Planner:
         went = max(float(np.max(np.abs(run.encoder - run.encoder[0]))) for run in self.runs)
         return min(TRAVEL * turn, max(FURTHER * went, LITTLE * turn))
 
-    @property
-    def channels(self) -> int:
-        """1 without an accelerometer, else 2."""
-        return len(self.sigma)
-
     def outputs(self, found: Simulation) -> np.ndarray:
         """(channels, n)."""
-        return np.stack([found.encoder, found.accel][: self.channels])
+        return np.stack([found.encoder, found.accel][: len(self.sigma)])
 
     def forecasts(self, belief: Belief, runs: Sequence[Run]) -> list[Forecast]:
         """What a hypothesis predicts of every run."""
@@ -175,28 +173,23 @@ class Planner:
             model = belief.model(x)
             return [simulate_model(model, run, rounding=False) for run in runs]
 
-        every = list(self.pool.map(simulated, places))
         found = []
-        for r in range(len(runs)):
-            mean = self.outputs(every[0][r])
-            moved = [(self.outputs(other[r]) - mean) / s for other, s in zip(every[1:], shrink, strict=True)]
-            spread = np.array(moved).reshape(len(moved), *mean.shape)
-            found.append(Forecast(mean, spread, every[0][r].command))
+        for here, *others in zip(*self.pool.map(simulated, places), strict=True):
+            mean = self.outputs(here)
+            moved = [(self.outputs(other) - mean) / s for other, s in zip(others, shrink, strict=True)]
+            found.append(Forecast(mean, np.array(moved).reshape(len(moved), *mean.shape), here.command))
         return found
 
     def scales(self, model: Model, run: Run, mean: np.ndarray) -> np.ndarray:
         """Weight of every sample (channels, n): see ``dataset`` for shares; rounding is fed back."""
         rounded = rounding_shares(mean[0])
-        share = np.stack([rounded, np.ones_like(rounded)])[: self.channels]
+        share = np.stack([rounded, np.ones_like(rounded)])[: len(self.sigma)]
         variance = self.sigma**2
         if run.metadata.controller["kind"] != "open":
             angle = 0.4 * self.rig.angle_per_count
-            jitter = []
-            for start in (-angle, angle):
-                both = [self.outputs(simulate_model(model, run, rounding=flag, start_angle=start))
-                        for flag in ("inside", False)]
-                jitter.append(both[0] - both[1])
-            scatter = jitter[0] - jitter[1]
+            here, there = ([self.outputs(simulate_model(model, run, rounding=flag, start_angle=start))
+                            for flag in ("inside", False)] for start in (-angle, angle))
+            scatter = (here[0] - here[1]) - (there[0] - there[1])
             variance = variance + 0.5 * np.array([np.mean(row**2) * correlation_time(row) for row in scatter])
         return np.sqrt(share / variance[:, None])
 
@@ -204,41 +197,29 @@ class Planner:
         """Whether a laboratory would run it: finite, within that share of the reach, and a closed loop follows."""
         if not (np.all(np.isfinite(forecast.mean)) and np.all(np.isfinite(forecast.spread))):
             return False
-        angle = forecast.mean[0]
-        if np.max(np.abs(angle)) > share * self.reach:
-            return False
-        if trial.closed and np.max(np.abs(angle)) > 3.0 * trial.amplitude + 50.0:
+        farthest = np.max(np.abs(forecast.mean[0]))
+        if farthest > share * self.reach or trial.closed and farthest > 3.0 * trial.amplitude + 50.0:
             return False
         if trial.test["kind"] == "step":
-            end = angle[-round(0.3 * self.rig.sample_rate):]
+            end = forecast.mean[0, -round(0.3 * self.rig.sample_rate):]
             return bool(np.ptp(end) < trial.amplitude / 3.0 + 4.0)
         return True
 
-    def cost(self, run: Run, forecast: Forecast) -> float:
-        """Of a test: its length in units of 4 s, and how hard and how far it drives the rig."""
+    def judged(self, trial: Trial, run: Run, forecast: Forecast, value: float, why: str, names: tuple[str, str],
+               means: tuple[np.ndarray, np.ndarray], distance: float = 0.0, shown: int = 0) -> Worth:
+        """A trial of some value.
+
+        Its cost is its length in units of 4 s, and how hard and how far it drives the rig as ``forecast`` has it;
+        ``means``: what the two hypotheses ``names`` predict, for drawing.
+        """
         command = float(np.sqrt(np.mean(forecast.command**2))) / self.rig.amplifier.limit
-        return (run.t[-1] / 4.0 + command
+        cost = (run.t[-1] / 4.0 + command
                 + float(np.max(np.abs(forecast.mean[0]))) / self.rig.encoder.counts_per_revolution)
+        encoder, *accel = zip(*means, strict=True)
+        prediction = Prediction(trial.complete(), run.t, run.reference, names, encoder, accel[0] if accel else None)
+        return Worth(trial, self.worth(trial, value), cost, why, prediction, distance, shown)
 
-    def nuisances(self, scale: np.ndarray) -> np.ndarray:
-        """Rows (channels, channels n) of what starting angle and offset may do, scaled."""
-        rows = np.zeros((self.channels, *scale.shape))
-        for c in range(self.channels):
-            rows[c, c] = NUISANCES[c] * scale[c]
-        return rows.reshape(self.channels, -1)
-
-    def scaled(self, forecast: Forecast, scale: np.ndarray) -> np.ndarray:
-        """Rows (k + channels, channels n): all that the hypothesis' own uncertainty may do."""
-        return np.concatenate([(forecast.spread * scale).reshape(len(forecast.spread), scale.size),
-                               self.nuisances(scale)])
-
-    def predicted(self, trial: Trial, run: Run, words: tuple[str, str], pair: tuple[np.ndarray, np.ndarray],
-                  ) -> Prediction:
-        """Two hypotheses on one trial, for drawing."""
-        accel = (pair[0][1], pair[1][1]) if self.channels == 2 else None
-        return Prediction(trial.complete(), run.t, run.reference, words, (pair[0][0], pair[1][0]), accel)
-
-    def best(self, judge: Callable[[list[Trial]], list[Worth]], start: list[Trial]) -> Worth | None:
+    def best(self, judge: Judge, start: list[Trial]) -> Worth | None:
         """The best of the trials, made as small as the reach asks, and of amplitudes about the best one's; of equals
         the shorter and gentler."""
         sized = [trial.sized(1.0, self.most(trial)) for trial in start]
@@ -262,26 +243,30 @@ class Planner:
         return AGAIN * value if trial.repeats(self.runs) else value
 
 
+def _nuisances(scale: np.ndarray) -> np.ndarray:
+    """Rows (channels, channels n) of what starting angle and offset may do, scaled by ``scale`` (channels, n)."""
+    return block_diag(*(sigma * weights for sigma, weights in zip(NUISANCES, scale, strict=False)))
+
+
 def absorbed(change: np.ndarray, spread: np.ndarray) -> np.ndarray:
     """change (m, n), or one row, times S^-1 = (I + spread' spread)^-1, ``spread`` (k, n): what no refit takes up."""
     inner = np.eye(len(spread)) + spread @ spread.T
     return change - (np.linalg.solve(inner, spread @ change.T)).T @ spread
 
 
-def between(planner: Planner, beliefs: Sequence[Belief], odds: Sequence[float]) -> Callable[[list[Trial]],
-                                                                                            list[Worth]]:
+def between(planner: Planner, beliefs: Sequence[Belief], odds: Sequence[float]) -> Judge:
     """Judge trials by how they tell hypotheses apart; ``odds`` are the hypotheses' probabilities."""
     pairs = [(i, j) for j in range(len(beliefs)) for i in range(j)]
     weights = np.array([odds[i] * odds[j] for i, j in pairs])
-    weights = weights / weights.sum()
+    weights /= weights.sum()
 
     def leading(tried: list[Trial]) -> list[Trial]:
         """The tests in which the hypotheses differ most as they stand, LOOKED of them."""
         runs = [trial.as_run(planner.rig) for trial in tried]
         still = [planner.forecasts(belief.still, runs) for belief in beliefs]
         scores = []
-        for r, trial in enumerate(tried):
-            here = [forecasts[r].mean / planner.sigma[:, None] for forecasts in still]
+        for trial, forecasts in zip(tried, zip(*still, strict=True), strict=True):
+            here = [forecast.mean / planner.sigma[:, None] for forecast in forecasts]
             apart = np.nan_to_num([np.sum((here[i] - here[j]) ** 2) for i, j in pairs], posinf=0.0)
             scores.append(planner.worth(trial, float(weights @ (1.0 - np.exp(-apart / FAR)))))
         return [tried[r] for r in sorted(np.argsort(-np.array(scores), kind="stable")[:LOOKED])]
@@ -289,15 +274,16 @@ def between(planner: Planner, beliefs: Sequence[Belief], odds: Sequence[float]) 
     def judge(tried: list[Trial]) -> list[Worth]:
         tried = leading(tried) if len(tried) > LOOKED else tried
         runs = [trial.as_run(planner.rig) for trial in tried]
-        every = [planner.forecasts(belief, runs) for belief in beliefs]
+        every = zip(*(planner.forecasts(belief, runs) for belief in beliefs), strict=True)
         first = beliefs[0].model(beliefs[0].x)
         found = []
-        for r, (trial, run) in enumerate(zip(tried, runs, strict=True)):
-            here = [forecasts[r] for forecasts in every]
+        for trial, run, here in zip(tried, runs, every, strict=True):
             if not all(planner.behaves(trial, forecast) for forecast in here):
                 continue
             scale = planner.scales(first, run, here[0].mean)
-            spreads = [planner.scaled(forecast, scale) for forecast in here]
+            nuisances = _nuisances(scale)
+            spreads = [np.concatenate([(forecast.spread * scale).reshape(len(forecast.spread), scale.size), nuisances])
+                       for forecast in here]
             distances = []
             for i, j in pairs:
                 apart = ((here[i].mean - here[j].mean) * scale).ravel()
@@ -307,10 +293,9 @@ def between(planner: Planner, beliefs: Sequence[Belief], odds: Sequence[float]) 
             i, j = pairs[p]
             why = (f"{beliefs[i].words} and {beliefs[j].words} differ here by chi^2 = {distances[p]:.0f} beyond what "
                    "refitted constants could absorb")
-            found.append(Worth(trial, planner.worth(trial, float(weights @ resolved)), planner.cost(run, here[0]), why,
-                               planner.predicted(trial, run, (beliefs[i].words, beliefs[j].words),
-                                                 (here[i].mean, here[j].mean)),
-                               max(distances)))
+            found.append(planner.judged(trial, run, here[0], float(weights @ resolved), why,
+                                        (beliefs[i].words, beliefs[j].words), (here[i].mean, here[j].mean),
+                                        distance=max(distances)))
         return found
     return judge
 
@@ -342,7 +327,7 @@ class Blocks:
 
 
 def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]], drawn: Sequence[Belief] = (),
-            share: float = 1.0) -> Callable[[list[Trial]], list[Worth]]:
+            share: float = 1.0) -> Judge:
     """Judge trials by how much of the catalogue they make visible that the planner's runs did not.
 
     ``base``: where the rig stands, its axes the uncertainty before any run.  ``effects``: words and the effect at a
@@ -361,15 +346,14 @@ def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]
             lambda model: [planner.outputs(simulate_model(model, run, rounding=False)) for run in runs], models))
         found = []
         for r, run in enumerate(runs):
-            outputs = [every[r] for every in changed]
-            if not np.all(np.isfinite(here[r].mean)):
-                found.append((here[r], outputs, nothing))
-                continue
-            scale = planner.scales(first, run, here[r].mean)
-            change = np.stack([((output - here[r].mean) * scale).ravel() for output in outputs])
-            change[~np.all(np.isfinite(change), axis=1)] = 0.0
-            spread = np.nan_to_num((here[r].spread * scale).reshape(-1, scale.size), posinf=0.0, neginf=0.0)
-            found.append((here[r], outputs, Blocks.of(spread, change, planner.nuisances(scale))))
+            outputs, blocks = [every[r] for every in changed], nothing
+            if np.all(np.isfinite(here[r].mean)):
+                scale = planner.scales(first, run, here[r].mean)
+                change = np.stack([((output - here[r].mean) * scale).ravel() for output in outputs])
+                change[~np.all(np.isfinite(change), axis=1)] = 0.0
+                spread = np.nan_to_num((here[r].spread * scale).reshape(-1, scale.size), posinf=0.0, neginf=0.0)
+                blocks = Blocks.of(spread, change, _nuisances(scale))
+            found.append((here[r], outputs, blocks))
         return found
 
     past = sum((blocks for _, _, blocks in looked(planner.runs[:PAST])), nothing)
@@ -382,9 +366,8 @@ def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]
         daring = [planner.forecasts(other.still, runs) for other in drawn]
         found = []
         for r, (trial, run, (here, outputs, blocks)) in enumerate(zip(tried, runs, looked(runs), strict=True)):
-            if not planner.behaves(trial, here):
-                continue
-            if not all(planner.behaves(trial, forecasts[r], share) for forecasts in daring):
+            if not (planner.behaves(trial, here)
+                    and all(planner.behaves(trial, forecasts[r], share) for forecasts in daring)):
                 continue
             both = (past + blocks).gram()
             new = np.diag(both)
@@ -393,10 +376,8 @@ def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]
             why = (f"{shown} of {m} effects of a usual size would show that the runs so far could not have shown"
                    if planner.runs and shown else f"{int(np.sum(new >= 1.0))} of {m} effects of a usual size would show"
                    ) + f", {effects[e][0]} gains most"
-            found.append(Worth(trial, planner.worth(trial, float(np.linalg.slogdet(np.eye(m) + both)[1] - before)),
-                               planner.cost(run, here), why,
-                               planner.predicted(trial, run, (base.words, f"with {effects[e][0]}"),
-                                                 (here.mean, outputs[e])), shown=shown))
+            found.append(planner.judged(trial, run, here, float(np.linalg.slogdet(np.eye(m) + both)[1] - before), why,
+                                        (base.words, f"with {effects[e][0]}"), (here.mean, outputs[e]), shown=shown))
         return found
     return judge
 
@@ -414,31 +395,18 @@ def belief(search: Selection, found: Fit) -> Belief:
     return Belief(_words(found.key), found.x, axes, lambda x: search.predictor.model(found.space, x))
 
 
-def _plain(search: Selection, found: Fit) -> Belief:
-    """The rig of a fitted hypothesis without its effects, which cost time, and as uncertain as before any run."""
-    space = search.fits[frozenset()].space
-    x = space.carried(found.space, found.x)
-    return Belief("the rig as fitted", x, np.eye(len(x)), lambda x: search.predictor.model(space, x))
-
-
 def _addable(rig: Rig, held: frozenset[Key] = frozenset()) -> list[tuple[str, Effect]]:
     """Every effect that could join a rig, at the middle of its usual sizes."""
-    found = []
-    for candidate in candidates(rig):
-        if candidate.effect is None or candidate.key in held or candidate.effect.stage is Stage.CLOCK:
-            continue
-        guess = candidate.guesses[(len(candidate.guesses) - 1) // 2]
-        effect = candidate.effect.model_construct(None, at=candidate.at, **guess)
-        found.append((_words(frozenset([candidate.key])), effect))
-    return found
+    return [(_words([c.key]), c.effect.model_construct(None, at=c.at, **c.guesses[(len(c.guesses) - 1) // 2]))
+            for c in candidates(rig)
+            if c.effect is not None and c.key not in held and c.effect.stage is not Stage.CLOCK]
 
 
 def _sigma(search: Selection) -> np.ndarray:
     """Noise of a planned run; where a model misses something, the size of that, spread over its samples."""
     data, best = search.predictor.data, search.best()
     left = np.mean(np.maximum(best.squares / np.maximum(search.weighing.independent, 1.0), 1.0), axis=0)
-    channel = search.predictor.channel
-    return data.sigma * np.sqrt([left[channel == c][-1] for c in range(data.channels)])
+    return data.sigma * np.sqrt([left[search.predictor.channel == c][-1] for c in range(data.channels)])
 
 
 def choose(search: Selection, odds: Odds, verdict: Verdict) -> Choice:
@@ -448,9 +416,8 @@ def choose(search: Selection, odds: Odds, verdict: Verdict) -> Choice:
     fitted = [(keys, p) for keys, p in odds.sets if keys in search.fits]
     best, top = fitted[0]
     rivals = [(keys, p) for keys, p in fitted[:LEADING] if p >= UNLIKELY * top]
-    contested = top < SETTLED and len(rivals) > 1 and verdict not in ("not_enough_data", "unexplained")
     undecidable = None
-    if contested:
+    if top < SETTLED and len(rivals) > 1 and verdict not in ("not_enough_data", "unexplained"):
         causes = sorted({key for keys, _ in rivals for key in keys})
         beliefs = [belief(search, search.fits[keys]) for keys, _ in rivals]
         found = planner.best(between(planner, beliefs, [p for _, p in rivals]), trials(data.rig, causes))
@@ -460,8 +427,11 @@ def choose(search: Selection, odds: Odds, verdict: Verdict) -> Choice:
             undecidable = (f"{beliefs[0].words} and {beliefs[1].words} predict the same in every test that "
                            "this station can run, within what refitted constants absorb"
                            + (f" (chi^2 = {found.distance:.1f} at most)" if found is not None else ""))
-    fit = search.fits[best]
-    judge = showing(planner, _plain(search, fit), _addable(data.rig, best), [belief(search, fit)])
+    # The rig as fitted without its effects, which cost time, and as uncertain as before any run.
+    fit, space = search.fits[best], search.fits[frozenset()].space
+    plain = Belief("the rig as fitted", space.carried(fit.space, fit.x), np.eye(space.size),
+                   lambda x: search.predictor.model(space, x))
+    judge = showing(planner, plain, _addable(data.rig, best), [belief(search, fit)])
     plan = _choice(planner.best(judge, trials(data.rig)), planner)
     if undecidable is not None:
         return Choice(NextExperiment(test=None, why=undecidable), None, plan.next, plan.unseen)
@@ -472,8 +442,7 @@ def first_test(rig: Rig) -> Choice:
     """The first test of a rig that nothing is known of but its file: the one that makes most of the catalogue visible
     and behaves wherever the stated uncertainty may put the rig."""
     rig = rig.meshed()
-    paths = list(rig.constants())
-    nominal = np.array([rig.constants()[path] for path in paths])
+    paths, nominal = list(rig.constants()), np.array(list(rig.constants().values()))
     root = np.linalg.cholesky(prior_covariance(rig, paths))
 
     def model(x: np.ndarray) -> Model:
@@ -506,5 +475,5 @@ def _telling(keys: frozenset[Key]) -> str:
     return f" ({'. '.join(words)})" if words else ""
 
 
-def _words(keys: frozenset[Key]) -> str:
+def _words(keys: Iterable[Key]) -> str:
     return " + ".join(sorted(f"{name} at {at}" if at else name for name, at in keys)) or "no cause"

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from station.diagnose.experiment import first_test
-from station.diagnose.result import DiagnosisResult
+from station.diagnose.result import DiagnosisResult, NextExperiment
 from station.diagnose.thresholds import FEW, PATIENCE, SETTLED
 from station.errors import UsageError, WorkError
 from station.rig import Rig
@@ -99,7 +99,7 @@ def _stuck(step: Step) -> bool:
 
 
 def investigate(rig: Rig, run_test: RunTest, find: Find, *, budget: int = BUDGET, first: Test | None = None,
-                on_step: Callable[[Investigation], None] | None = None) -> Investigation:
+                on_step: Callable[[Investigation], None] = lambda found: None) -> Investigation:
     """Run tests on a rig until the cause is decided, or hopeless, or ``budget`` runs are made.
 
     ``first``: the first test with its ``controller``, in place of the one that shows most of the catalogue.
@@ -107,26 +107,19 @@ def investigate(rig: Rig, run_test: RunTest, find: Find, *, budget: int = BUDGET
     """
     if budget < 1:
         raise UsageError(f"budget: at least one run is wanted, not {budget}")
-    if first is not None:
-        test, why = first, "asked for"
-    else:
-        choice = first_test(rig).next
-        test, why = choice.test, choice.why
-        if test is None:
-            raise WorkError(f"rig {rig.name}: {why}; say which test is to be the first")
+    asked = NextExperiment(test=first, why="asked for") if first is not None else first_test(rig).next
+    test, why = asked.test, asked.why
+    if test is None:
+        raise WorkError(f"rig {rig.name}: {why}; say which test is to be the first")
     found = Investigation()
-    while True:
+    while found.outcome is None:
         run = run_test({k: v for k, v in test.items() if k != "controller"}, dict(test["controller"]))
         result = find(rig, [*found.runs, run])
         found.steps.append(Step(run, why, result))
-        over = ending(found.steps, budget)
-        if over is not None:
-            found.outcome, found.why = over
-        if on_step is not None:
-            on_step(found)
-        if over is not None:
-            return found
-        if result.plan is None or result.plan.test is None:
+        found.outcome, found.why = ending(found.steps, budget) or (None, "")
+        on_step(found)
+        if found.outcome is None and (result.plan is None or result.plan.test is None):
             found.outcome, found.why = "hopeless", "this station has no test that the rig could be put to"
-            return found
-        test, why = result.plan.test, result.plan.why
+        elif found.outcome is None:
+            test, why = result.plan.test, result.plan.why
+    return found

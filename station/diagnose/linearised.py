@@ -15,7 +15,7 @@ noise were all that may be missed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -77,8 +77,7 @@ class Linearised:
         errors = [e - c for e, c in zip(self.errors, change.scaled, strict=True)]
         squares = np.array([np.sum(e * e, axis=1) for e in errors])
         kept = [i for i, name in enumerate(self.parent.space.names()) if name in names]
-        gradient = self.gradient - change.slopes
-        return Linearised(self.predictor, self.parent, errors, squares, self.normal, gradient, kept)
+        return replace(self, errors=errors, squares=squares, gradient=self.gradient - change.slopes, kept=kept)
 
     def change(self, space: Parameters, x: np.ndarray) -> Change | None:
         """What a hypothesis at ``x`` changes in the parent's predictions; None where it does not simulate."""

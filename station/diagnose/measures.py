@@ -51,10 +51,10 @@ def repeats(runs: Sequence[Run]) -> list[dict[str, float]]:
     accelerometer from its mean.
     """
     logs = [content(run) for run in runs]
-    alike = [[other for other, log in zip(runs, logs, strict=True)
-              if other is run or log != own and _same_test(run, other)] for run, own in zip(runs, logs, strict=True)]
     found: list[dict[str, float]] = [{} for _ in runs]
-    for k, (run, those) in enumerate(zip(runs, alike, strict=True)):
+    for k, (run, own) in enumerate(zip(runs, logs, strict=True)):
+        those = [other for other, log in zip(runs, logs, strict=True)
+                 if other is run or log != own and _same_test(run, other)]
         rows = min(len(one.t) for one in those)
         for channel in ("encoder", "accel"):
             readings = [getattr(one, channel) for one in those]

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from station.diagnose.thresholds import NOISE
-from station.estimation.dataset import Dataset
 from station.estimation.least_squares import Fit
 from station.estimation.prediction import Predictor
 
@@ -39,7 +38,7 @@ def remainder(predictor: Predictor, found: Fit) -> Remainder:
     which count, has the variance m where errors last 1/share < SPAN samples, and (sum sqrt(share))^2 where one error
     lasts all through.
     """
-    data: Dataset = predictor.data
+    data = predictor.data
     size, slow = [], []
     blocks = [len(predictor.observers) - 1, len(predictor.channel) - 1][: data.channels]
     for every, share in zip(found.residuals, data.share, strict=True):

@@ -53,11 +53,6 @@ class Screened:
         """Sizes from which a fit begins, within bounds."""
         return {self.candidate.key: scaled(self.candidate, self.guess, min(max(self.size, 1e-3), 5.0))}
 
-    @property
-    def centre(self) -> Sizes:
-        """Sizes at which the prior is centred."""
-        return {self.candidate.key: self.guess}
-
 
 @dataclass(frozen=True)
 class Exchange:
@@ -78,15 +73,11 @@ class _Row:
 
 def scaled(candidate: Candidate, guess: dict[str, float], factor: float) -> dict[str, float]:
     """A guess so many times its distance from neutral, within bounds."""
-    if candidate.effect is None:
-        return {}
-    moved, infos = {}, candidate.effect.parameters()
+    moved = dict(guess)
     for name, value in guess.items():
-        info = infos[name]
-        if info.neutral is None or not math.isfinite(info.neutral) or info.periodic:
-            moved[name] = value
-            continue
-        moved[name] = min(max(info.neutral + factor * (value - info.neutral), info.low), info.high)
+        info = candidate.effect.parameters()[name]
+        if info.neutral is not None and math.isfinite(info.neutral) and not info.periodic:
+            moved[name] = min(max(info.neutral + factor * (value - info.neutral), info.low), info.high)
     return moved
 
 
@@ -97,11 +88,7 @@ def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
     known = Linearised.of(predictor, parent)
 
     def at(candidate: Candidate, guess: dict[str, float]) -> Change | None:
-        hypothesis = parent.space.hypothesis + candidate.hypothesis
-        centres = {**parent.space.values(parent.space.mean), candidate.key: guess}
-        space = parameters(predictor.data, hypothesis, centres)
-        x = space.carried(parent.space, parent.x, {candidate.key: guess})
-        return known.change(space, x)
+        return known.change(*candidate.beside(predictor.data, parent, guess))
 
     def tried(task: tuple[Candidate, dict[str, float]]) -> _Row:
         candidate, guess = task
@@ -130,6 +117,7 @@ def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
             ratio, error = clock
             found.append(Screened(candidate, {"ratio": ratio}, ((ratio - 1.0) / error) ** 2, 1.0, error**-2))
     found += _shared(parent, pool)
+    rows = [row for row in rows if row.change is not None]
     return sorted(found, key=lambda s: -s.gain), _pairs(known, rows), _in_place(known, rows)
 
 
@@ -170,30 +158,23 @@ def _screened(candidate: Candidate, guess: dict[str, float], s: float, b: float)
 
 def _pairs(known: Linearised, rows: Sequence[_Row]) -> list[tuple[Screened, Screened]]:
     """Pairs of causes whose sizes, fitted together, buy more than the better of the two and another cause's worth."""
-    best: dict[Key, tuple[_Row, Change]] = {}
+    best: dict[Key, _Row] = {}
     for row in sorted(rows, key=lambda row: -row.screened.gain):
-        if row.change is not None and row.screened.information > 1e-6 and row.screened.size > 0.0:
-            best.setdefault(row.screened.candidate.key, (row, row.change))
+        if row.screened.information > 1e-6 and row.screened.size > 0.0:
+            best.setdefault(row.screened.candidate.key, row)
     leading = list(best.values())[:PAIRED]
     if len(leading) < 2:
         return []
-    gram, slope = known.products([change for _, change in leading])
-    found = []
-    for i, j in combinations(range(len(leading)), 2):
-        part = np.ix_([i, j], [i, j])
-        try:
-            sizes = np.linalg.solve(gram[part], slope[[i, j]])
-        except np.linalg.LinAlgError:
-            continue
-        if np.all(sizes > 0.0) and np.all(sizes < LINEAR):
-            found.append((float(slope[[i, j]] @ sizes), i, j, sizes))
+    gram, slope = known.products([row.change for row in leading])
     pairs = []
-    for gain, i, j, sizes in sorted(found, key=lambda row: -row[0]):
-        one, other = leading[i][0], leading[j][0]
-        if gain > max(one.screened.gain, other.screened.gain):
-            pairs.append((replace(one.screened, gain=gain, size=one.factor * float(sizes[0])),
-                          replace(other.screened, gain=gain, size=other.factor * float(sizes[1]))))
-    return pairs
+    for (i, one), (j, other) in combinations(enumerate(leading), 2):
+        with suppress(np.linalg.LinAlgError):
+            sizes = np.linalg.solve(gram[np.ix_([i, j], [i, j])], slope[[i, j]])
+            gain = float(slope[[i, j]] @ sizes)
+            if np.all((sizes > 0.0) & (sizes < LINEAR)) and gain > max(one.screened.gain, other.screened.gain):
+                pairs.append((replace(one.screened, gain=gain, size=one.factor * float(sizes[0])),
+                              replace(other.screened, gain=gain, size=other.factor * float(sizes[1]))))
+    return sorted(pairs, key=lambda pair: -pair[0].gain)
 
 
 def _in_place(known: Linearised, rows: Sequence[_Row]) -> list[Exchange]:
@@ -202,16 +183,14 @@ def _in_place(known: Linearised, rows: Sequence[_Row]) -> list[Exchange]:
     space, found = known.parent.space, []
     hypothesis, data = space.hypothesis, known.predictor.data
     for less in [(cls.name, at) for cls, at in hypothesis.effects]:
-        centres = {key: sizes for key, sizes in space.values(space.mean).items() if key != less}
         with suppress(*DIVERGED):
-            reduced = known.without(parameters(data, hypothesis.without(less), centres))
+            reduced = known.without(parameters(data, hypothesis.without(less), space.values(space.mean)))
             others: dict[Key, Screened] = {}
             for row in rows:
-                wanted = row.screened.candidate.key[0] == less[0] or len(hypothesis.causes) > 1
-                if row.change is not None and wanted:
+                key = row.screened.candidate.key
+                if key[0] == less[0] or len(hypothesis.causes) > 1:
                     gram, slope = reduced.products([row.change])
                     one = _screened(row.screened.candidate, row.screened.guess, float(gram[0, 0]), float(slope[0]))
-                    key = one.candidate.key
                     if key not in others or one.gain > others[key].gain:
                         others[key] = replace(one, size=row.factor * one.size)
             found += [Exchange(less, one) for one in sorted(others.values(), key=lambda one: -one.gain)]
@@ -223,12 +202,10 @@ def _freed(predictor: Predictor, parent: Fit, candidate: Candidate, normal: np.n
 
     ``normal`` (p, p) and ``slope`` (p): the data's, of the parent.
     """
-    base = parent.space
-    space = parameters(predictor.data, base.hypothesis + candidate.hypothesis, base.values(base.mean))
-    n = len(base.paths)
+    base, n = parent.space, len(parent.space.paths)
+    space, x = candidate.beside(predictor.data, parent, {})
     transform = np.eye(base.size)
     transform[:n, :n] = np.linalg.solve(base.root, space.root)
-    x = space.carried(base, parent.x)
 
     def cost(prior: np.ndarray, matrix: np.ndarray, slope: np.ndarray, at: np.ndarray) -> float:
         force = slope - prior * (at - base.mean)

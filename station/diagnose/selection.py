@@ -7,9 +7,11 @@ off the best set and is the same for all sets that are compared; with it the sco
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -17,16 +19,17 @@ import numpy as np
 from station.diagnose.candidates import Candidate, candidates
 from station.diagnose.remainder import remainder
 from station.diagnose.screening import Screened, screen
-from station.diagnose.starts import far_starts, rigid_starts
+from station.diagnose.starts import attempted, far_starts, rigid_starts
 from station.diagnose.thresholds import CLOSE, LOG_PRIOR, LOG_PRIOR_PARAMETER, WORTH_A_FIT
 from station.estimation.constants import base_fit, settled
-from station.estimation.least_squares import DIVERGED, FAR, Fit, fit, inherited, weighing_of
+from station.estimation.least_squares import FAR, Fit, fit, inherited, weighing_of
 from station.estimation.likelihood import Weighing
 from station.estimation.parameters import Causes, Hypothesis, Key, Parameters, Sizes, parameters
 from station.estimation.prediction import COARSE, FINE, SEARCH, Accuracy, Predictor
 from station.model.effects import Stage
 
-QUICK_STEPS, STEPS = 8, 25
+QUICK_STEPS = 8
+THOROUGH: dict[str, Any] = {"iterations": 25, "renewals": 4, "tolerance": 0.2}
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,8 @@ class Selection:
     fits: dict[Causes, Fit] = field(default_factory=dict)
     screened: list[Screened] = field(default_factory=list)
     """Of the first rung."""
-    _weighed: WeakKeyDictionary[Fit, tuple[Weighing, Weighing, float, float]] = field(default_factory=WeakKeyDictionary)
+    _weighed: WeakKeyDictionary[Fit, tuple[Weighing, float, float]] = field(default_factory=WeakKeyDictionary)
+    """Under the weighing in force: each fit's own, its evidence, and the price of its own."""
 
     def evidence(self, found: Fit, drawn: np.ndarray | None = None) -> float:
         """Log evidence of a set of causes, up to a constant; ``drawn``: of resampled stretches.
@@ -80,16 +84,10 @@ class Selection:
         return self._own(found)[0]
 
     def _own(self, found: Fit) -> tuple[Weighing, float, float]:
-        known = self._weighed.get(found)
-        if known is None or known[0] is not self.weighing:
+        if found not in self._weighed:
             own = replace(self.weighing, differ=found.most_likely_differ(self.weighing))
-            known = self._weighed[found] = (self.weighing, own, found.log_evidence(own), found.log_narrowing(own))
-        return known[1:]
-
-    def loosest(self, found: Fit) -> Weighing:
-        """The same for sets that explain less: they may need runs to differ by as much as the rig alone does."""
-        sizes = np.maximum(self.own_weighing(found).differ, self.own_weighing(self.fits[frozenset()]).differ)
-        return replace(self.weighing, differ=(float(sizes[0]), float(sizes[1])))
+            self._weighed[found] = own, found.log_evidence(own), found.log_narrowing(own)
+        return self._weighed[found]
 
     def score(self, found: Fit, drawn: np.ndarray | None = None) -> float:
         """Log posterior of a set of causes, up to a constant; ``drawn``: of resampled stretches."""
@@ -125,6 +123,7 @@ class Selection:
     def weigh(self, found: Fit) -> None:
         """Take what a fit leaves for what models of this rig leave."""
         self.weighing = weighing_of(self.predictor, found)
+        self._weighed.clear()
 
 
 def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float], None]) -> Selection:
@@ -142,8 +141,7 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
         if rung > 0 and predictor.data.clock is None:
             # Beside another cause a clock is but one more way to move the constants, which no data tell from theirs.
             pool = [c for c in pool if c.effect is None or c.effect.stage is not Stage.CLOCK]
-        share = (min(0.1 + 0.7 * rung / (effort.rungs + 1), 0.8), min(0.1 + 0.7 * (rung + 1) / (effort.rungs + 1), 0.8))
-        _climb(search, parent, [c for c in pool if c.key not in parent.key], share, progress)
+        _climb(search, parent, [c for c in pool if c.key not in parent.key], progress)
         best = search.best()
         if len(best.key) <= rung and 2.0 * (search.score(best) - search.score(search.fits[parent.key])) < WORTH_A_FIT:
             break  # the same set, or one that these runs do not tell from it
@@ -170,63 +168,58 @@ def _with_derivatives(search: Selection, found: Fit) -> Fit:
     return again
 
 
-def _climb(search: Selection, parent: Fit, pool: list[Candidate], share: tuple[float, float],
-           progress: Callable[[str, float], None]) -> None:
+def _climb(search: Selection, parent: Fit, pool: list[Candidate], progress: Callable[[str, float], None]) -> None:
     """Fit the most promising further causes on top of a parent that holds fewer than a set may, and those that could
     stand in the place of one that it has: what was added first need not be the best beside what came later."""
-    predictor, effort = search.predictor, search.effort
+    predictor, effort, rung = search.predictor, search.effort, len(parent.key)
+    begin, end = (min(0.1 + 0.7 * done / (effort.rungs + 1), 0.8) for done in (rung, rung + 1))
+
+    def told(text: str, share: float) -> None:
+        progress(text, begin + (end - begin) * share)
+
     screened, pairs, exchanges = screen(predictor, parent, pool)
-    grows = len(parent.key) < effort.rungs
-    content = effort.content and bool(parent.key) and remainder(predictor, parent).is_noise
+    grows = rung < effort.rungs
+    content = effort.content and rung > 0 and remainder(predictor, parent).is_noise
     worth = -2.0 * LOG_PRIOR if content else WORTH_A_FIT
     if not search.screened:
         search.screened = screened
-    starts: list[tuple[Key | None, tuple[Screened, ...]]] = []
+    jobs: list[tuple[str, float, Callable[[], Fit | None]]] = []
+
+    def add(start: tuple[Screened, ...], less: Key | None = None) -> None:
+        label = " + ".join(one.candidate.hypothesis.label for one in start)
+        jobs.append((label, start[0].gain if less is None else -np.inf, partial(begun, predictor, parent, start, less)))
+
+    far = rigid_starts(predictor, parent, pool) if grows and not content else []
+    for start in far if parent.key else far + far_starts(predictor, pool, effort.finished):
+        jobs.append((f"{start.candidate.hypothesis.label}, far from nominal", -np.inf, partial(
+            attempted, predictor, start.space, search.weighing, start.x, start.own, tolerance=0.5, first=FAR)))
     for less in sorted({exchange.less for exchange in exchanges}):
         others = [e.more for e in exchanges if e.less == less and e.more.gain > WORTH_A_FIT]
         moved = [one for one in others[effort.exchanged:] if one.candidate.key[0] == less[0]]
-        starts += [(less, (one,)) for one in [*others[: effort.exchanged], *moved]]
-    per_key: dict[Key, int] = {}
+        for one in [*others[: effort.exchanged], *moved]:
+            add((one,), less)
+    begun_from: Counter[Key] = Counter()
     for one in screened if grows else []:
         key = one.candidate.key
-        if one.gain < worth or key not in per_key and len(per_key) == effort.tried:
-            continue
-        if per_key.get(key, 0) < one.candidate.starts:
-            per_key[key] = per_key.get(key, 0) + 1
-            starts.append((None, (one,)))
-    starts += [(None, pair) for pair in pairs[: effort.pairs] if grows and not content and pair[0].gain > WORTH_A_FIT]
-    far = rigid_starts(predictor, parent, pool) if grows and not content else []
-    if not parent.key:
-        far += far_starts(predictor, pool, effort.finished)
-
-    def quick(start: tuple[Key | None, tuple[Screened, ...]]) -> Fit | None:
-        return begun(predictor, parent, start[1], start[0])
-
+        if (one.gain >= worth and (key in begun_from or len(begun_from) < effort.tried)
+                and begun_from[key] < one.candidate.starts):
+            begun_from[key] += 1
+            add((one,))
+    for pair in pairs[: effort.pairs] if grows and not content else []:
+        if pair[0].gain > WORTH_A_FIT:
+            add(pair)
     found: dict[Causes, Fit] = {}
     expected: dict[Causes, float] = {}
-
-    def keep(one: Fit) -> None:
-        search.keep(one)
-        if one.key not in found or one.objective < found[one.key].objective:
-            found[one.key] = one
-
-    for begin, reached in zip(far, predictor.pool.map(lambda begin: begin.fitted(predictor, search.weighing), far),
-                              strict=True):
-        progress(f"tried {begin.candidate.hypothesis.label}, far from nominal", share[0])
-        if reached is not None:
-            keep(reached)
-    for k, ((less, more), reached) in enumerate(zip(starts, predictor.pool.map(quick, starts), strict=True)):
-        progress(f"tried {' + '.join(s.candidate.hypothesis.label for s in more)}",
-                 share[0] + (share[1] - share[0]) * 0.6 * (k + 1) / len(starts))
-        if reached is not None:
-            keep(reached)
-            if less is None:
-                expected[reached.key] = max(expected.get(reached.key, 0.0), more[0].gain)
-    ranked = leading(search, found, {key: parent.objective - gain for key, gain in expected.items()})
-    ranked = ranked[: effort.finished]
+    for k, ((label, gain, _), one) in enumerate(zip(jobs, predictor.pool.map(lambda job: job[2](), jobs), strict=True)):
+        told(f"tried {label}", 0.6 * (k + 1) / len(jobs))
+        if one is not None:
+            search.keep(one)
+            expected[one.key] = min(expected.get(one.key, np.inf), parent.objective - gain)
+            if one.key not in found or one.objective < found[one.key].objective:
+                found[one.key] = one
+    ranked = leading(search, found, expected)[: effort.finished]
     _refit(search, [search.fits[f.key] for f in ranked], False,
-           lambda k, label: progress(f"fitted {label}",
-                                     share[0] + (share[1] - share[0]) * (0.6 + 0.4 * (k + 1) / len(ranked))))
+           lambda k, label: told(f"fitted {label}", 0.6 + 0.4 * (k + 1) / len(ranked)))
 
 
 def leading(search: Selection, found: dict[Causes, Fit], expected: dict[Causes, float]) -> list[Fit]:
@@ -251,15 +244,13 @@ def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened], less: Ke
     first: Sizes = {}
     own = parent.own.copy()
     for one in start:
+        hypothesis += one.candidate.hypothesis
+        centres[one.candidate.key] = one.guess
+        first |= one.start
         own[:, 3] -= one.shared
-        hypothesis, centres, first = (hypothesis + one.candidate.hypothesis, {**centres, **one.centre},
-                                      {**first, **one.start})
     space = parameters(predictor.data, hypothesis, centres)
-    with suppress(*DIVERGED):
-        return fit(predictor, space, parent.weighing, space.carried(parent.space, parent.x, first), own,
-                   jacobian=inherited(parent, space), parallel=False, renewals=0, first=FAR,
-                   iterations=QUICK_STEPS, tolerance=0.5).light
-    return None
+    return attempted(predictor, space, parent.weighing, space.carried(parent.space, parent.x, first), own,
+                     jacobian=inherited(parent, space), renewals=0, first=FAR, iterations=QUICK_STEPS, tolerance=0.5)
 
 
 def centred(predictor: Predictor, found: Fit) -> tuple[Parameters, np.ndarray]:
@@ -267,18 +258,17 @@ def centred(predictor: Predictor, found: Fit) -> tuple[Parameters, np.ndarray]:
 
     Sizes are as likely about any of an effect's usual ones; where a fit happened to begin must not count.
     """
-    space, sizes = found.space, found.space.values(found.x)
-    centres: Sizes = {}
-    for k, (cls, at) in enumerate(space.hypothesis.effects):
-        mine = [i for i, coordinate in enumerate(space.coordinates) if coordinate.effect == k]
-        first = space.parts["effects"].start
+    space = found.space
 
-        def strain(guess: dict[str, float], mine: list[int] = mine, first: int = first) -> float:
-            return sum(space.precision[first + i] * (space.coordinates[i].to_x(guess[space.coordinates[i].name])
-                                                     - found.x[first + i]) ** 2 for i in mine)
-        centres[cls.name, at] = min(cls.guesses(predictor.data.rig, at), key=strain)
+    def strain(effect: int, guess: dict[str, float]) -> float:
+        return sum(space.precision[i] * (coordinate.to_x(guess[coordinate.name]) - found.x[i]) ** 2
+                   for i, coordinate in enumerate(space.coordinates, space.parts["effects"].start)
+                   if coordinate.effect == effect)
+
+    centres = {(cls.name, at): min(cls.guesses(predictor.data.rig, at), key=partial(strain, k))
+               for k, (cls, at) in enumerate(space.hypothesis.effects)}
     moved = parameters(predictor.data, space.hypothesis, centres)
-    return moved, moved.carried(space, found.x, sizes)
+    return moved, moved.carried(space, found.x)
 
 
 def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
@@ -286,11 +276,8 @@ def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
     """Fit sets to the end, each with what runs differ by by itself, side by side."""
     def again(found: Fit) -> Fit | None:
         space, x = centred(search.predictor, found)
-        with suppress(*DIVERGED):
-            return fit(search.predictor, space, search.own_weighing(found), x, found.own, parallel=False,
-                       iterations=STEPS, renewals=4, tolerance=0.2,
-                       to_the_end=to_the_end).light
-        return None
+        return attempted(search.predictor, space, search.own_weighing(found), x, found.own, **THOROUGH,
+                         to_the_end=to_the_end)
 
     fits = list(fits)
     for k, (old, found) in enumerate(zip(fits, search.predictor.pool.map(again, fits), strict=True)):
@@ -310,15 +297,14 @@ def _look_back(search: Selection, found: Fit) -> None:
 def _reduced(search: Selection, found: Fit, causes: Causes) -> Fit | None:
     """Some of a set's causes alone, fitted from where the whole set ended; None where that does not simulate."""
     hypothesis = found.space.hypothesis
-    for cause in hypothesis.causes:
-        if cause not in causes:
-            hypothesis = hypothesis.without(cause)
-    centres: Sizes = {k: v for k, v in found.space.values(found.space.mean).items() if k in causes}
-    space = parameters(search.predictor.data, hypothesis, centres)
-    with suppress(*DIVERGED):
-        return fit(search.predictor, space, search.loosest(found), space.carried(found.space, found.x), found.own,
-                   parallel=False, iterations=STEPS, renewals=4, tolerance=0.2).light
-    return None
+    for cause in found.key - causes:
+        hypothesis = hypothesis.without(cause)
+    space = parameters(search.predictor.data, hypothesis, found.space.values(found.space.mean))
+    # What explains less may need runs to differ by as much as the rig alone does.
+    share, constant = np.maximum(search.own_weighing(found).differ,
+                                 search.own_weighing(search.fits[frozenset()]).differ).tolist()
+    return attempted(search.predictor, space, replace(search.weighing, differ=(share, constant)),
+                     space.carried(found.space, found.x), found.own, **THOROUGH)
 
 
 def fitted(search: Selection, causes: Causes, whole: Causes) -> Fit:

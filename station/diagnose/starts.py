@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from station.diagnose.candidates import Candidate
 from station.diagnose.thresholds import WORTH_A_FIT
 from station.estimation.constants import FIRST_SECONDS, in_step, unknown
 from station.estimation.dataset import first_seconds
-from station.estimation.least_squares import DIVERGED, FAR, Fit, fit
+from station.estimation.least_squares import DIVERGED, Fit, fit
 from station.estimation.likelihood import Weighing, cost
 from station.estimation.parameters import WIDE, Hypothesis, Parameters, parameters
 from station.estimation.prediction import Predictor
@@ -45,12 +46,14 @@ class Start:
     own: np.ndarray
     """(runs, 4) what each run has of its own (``Dataset.own``)."""
 
-    def fitted(self, predictor: Predictor, weighing: Weighing) -> Fit | None:
-        """To whole runs, without derivatives; None where that does not simulate.  From one of the pool's threads."""
-        with suppress(*DIVERGED):
-            return fit(predictor, self.space, weighing, self.x, self.own, parallel=False, tolerance=0.5,
-                       first=FAR).light
-        return None
+
+def attempted(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarray, own: np.ndarray,
+              **how: Any) -> Fit | None:
+    """A fit from ``x`` (p) and ``own`` (runs, 4) without derivatives, from one of the pool's threads; None where it
+    goes where nothing simulates."""
+    with suppress(*DIVERGED):
+        return fit(predictor, space, weighing, x, own, parallel=False, **how).light
+    return None
 
 
 def rigid_starts(predictor: Predictor, parent: Fit, pool: Sequence[Candidate]) -> list[Start]:
@@ -59,40 +62,36 @@ def rigid_starts(predictor: Predictor, parent: Fit, pool: Sequence[Candidate]) -
     The other constants begin at nominal: what the parent bent to make up for the joint leads back to it.
     """
     found = []
-    for candidate in pool:
-        if candidate.constant in JOINTS:
-            space = parameters(predictor.data, parent.space.hypothesis + candidate.hypothesis,
-                               parent.space.values(parent.space.mean))
-            x = space.carried(parent.space, parent.x)
-            found += [Start(candidate, space, _placed(space, candidate, sigmas, x), parent.own)
-                      for sigmas in (RIGID[-1:] if parent.key else RIGID)]
+    for candidate in (c for c in pool if c.constant in JOINTS):
+        space, x = candidate.beside(predictor.data, parent, {})
+        found += [Start(candidate, space, _placed(space, candidate, sigmas, x), parent.own)
+                  for sigmas in (RIGID[-1:] if parent.key else RIGID)]
     return found
 
 
 def far_starts(predictor: Predictor, pool: Sequence[Candidate], most: int) -> list[Start]:
     """The rig alone with one constant far from nominal, where that meets the runs' beginnings better than the rig alone
     can: ``most`` are tried, those that meet them best before anything is fitted."""
-    constants = [c for c in pool if c.constant is not None]
-    rows = sorted(((cost_there, k, sigmas) for k, (cost_there, sigmas) in enumerate(_profiles(predictor, constants))
-                   if sigmas != 0.0), key=lambda row: row[0])[:most]
+    rows = sorted(_profiles(predictor, [c for c in pool if c.constant is not None]), key=lambda row: row[0])
+    rows = [row for row in rows if row[1] != 0.0][:most]
     if not rows:
         return []
-
-    def begun(row: tuple[float, int, float]) -> tuple[Start, float] | None:
-        candidate = constants[row[1]]
-        space = parameters(predictor.data, candidate.hypothesis, {})
-        with suppress(*DIVERGED):
-            found = in_step(predictor, space, _placed(space, candidate, row[2], space.mean), parallel=False)
-            return Start(candidate, space, found.x, found.own), found.objective
-        return None
-
     alone = parameters(predictor.data, Hypothesis(), {})
     limit = in_step(predictor, alone, alone.mean).objective - WORTH_A_FIT
-    return [one[0] for one in predictor.pool.map(begun, rows) if one is not None and one[1] < limit]
+
+    def begun(row: tuple[float, float, Candidate]) -> Start | None:
+        _, sigmas, candidate = row
+        space = parameters(predictor.data, candidate.hypothesis, {})
+        with suppress(*DIVERGED):
+            found = in_step(predictor, space, _placed(space, candidate, sigmas, space.mean), parallel=False)
+            return Start(candidate, space, found.x, found.own) if found.objective < limit else None
+        return None
+
+    return [start for start in predictor.pool.map(begun, rows) if start is not None]
 
 
-def _profiles(predictor: Predictor, constants: Sequence[Candidate]) -> list[tuple[float, float]]:
-    """Of each constant the least objective along it, and how many sigmas from nominal it lies.
+def _profiles(predictor: Predictor, constants: Sequence[Candidate]) -> list[tuple[float, float, Candidate]]:
+    """Of each constant the least objective along it, how many sigmas from nominal that lies, and the constant.
 
     On one mesh, a place to begin needs none that is finer; and by the longest horizon alone: an observer that forgets
     corrects what a rig far from the true one does as well as what another one does.
@@ -101,9 +100,9 @@ def _profiles(predictor: Predictor, constants: Sequence[Candidate]) -> list[tupl
     part = replace(predictor, data=replace(data, rig=data.rig.with_fixed_mesh()), observers=predictor.observers[-1:])
     weighing = unknown(part)
 
-    def profile(candidate: Candidate) -> tuple[float, float]:
+    def profile(candidate: Candidate) -> tuple[float, float, Candidate]:
         space = parameters(part.data, candidate.hypothesis, {})
-        return min(((_cost(part, space, _placed(space, candidate, sigmas, space.mean), weighing), sigmas)
+        return min(((_cost(part, space, _placed(space, candidate, sigmas, space.mean), weighing), sigmas, candidate)
                     for sigmas in AWAY.tolist()), key=lambda row: row[0])
     return list(part.pool.map(profile, constants))
 

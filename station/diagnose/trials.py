@@ -84,21 +84,19 @@ class Trial:
 
     def complete(self) -> dict[str, Any]:
         """Every key of the test that the station can be given, and the controller."""
-        keys = {**defaults(self.test["kind"]), **self.test}
-        return {"kind": self.test["kind"], **{k: v for k, v in keys.items() if k != "kind" and v is not None},
-                "controller": dict(self.controller)}
+        keys = {"kind": None, **defaults(self.test["kind"]), **self.test}
+        return {**{k: v for k, v in keys.items() if v is not None}, "controller": dict(self.controller)}
 
     def repeats(self, runs: Iterable[Run]) -> bool:
         """Whether one of the runs is this test, or nearly so."""
-        return any(self._like(run.metadata.test, run.metadata.controller) for run in runs)
+        def alike(run: RunMetadata) -> bool:
+            if run.test.get("kind") != self.test["kind"] or _bare(run.controller) != _bare(self.controller):
+                return False
+            other = run.test.get("amplitude", defaults(self.test["kind"])["amplitude"])
+            return (isinstance(other, int | float) and other != 0
+                    and abs(math.log(abs(other) / self.amplitude)) <= math.log(ALIKE))
 
-    def _like(self, test: Mapping[str, Any], controller: Mapping[str, Any]) -> bool:
-        if test.get("kind") != self.test["kind"] or _bare(controller) != _bare(self.controller):
-            return False
-        other = test.get("amplitude", defaults(self.test["kind"])["amplitude"])
-        if not isinstance(other, int | float) or other == 0:
-            return False
-        return abs(math.log(abs(other) / self.amplitude)) <= math.log(ALIKE)
+        return any(alike(run.metadata) for run in runs)
 
 
 def _bare(controller: Mapping[str, Any]) -> dict[str, Any]:
@@ -116,24 +114,20 @@ def trials(rig: Rig, causes: Sequence[tuple[str, str]] = ()) -> list[Trial]:
     """Tests worth a thought on this rig, and those that the effects among ``causes`` are best told by."""
     scale = rig.encoder.counts_per_revolution / USUAL_TURN
     strength = rig.amplifier.limit / USUAL_LIMIT / scale
-    found = []
-    for test, controller in CLOSED:
-        if controller is not BOTH or _has_both(rig):
-            found.append(Trial(test, _scaled(controller, strength)).sized(scale, math.inf))
-    for test in DRIVEN:
-        found.append(Trial(test, OPEN).sized(rig.amplifier.limit, rig.command_limit))
+    # The accelerometer's compensator has its coefficients given sampled, and suits no other rig.
+    suits = (rig.accelerometer is not None and rig.sample_rate == SAMPLED_AT and rig.amplifier.limit == USUAL_LIMIT
+             and rig.encoder.counts_per_revolution == USUAL_TURN)
+    found = [Trial(test, _scaled(controller, strength)).sized(scale, math.inf) for test, controller in CLOSED
+             if controller is not BOTH or suits]
+    found += [Trial(test, OPEN).sized(rig.amplifier.limit, rig.command_limit) for test in DRIVEN]
     for name, _ in causes:
         told = {} if name.startswith("parameter:") else dict(effect_class(name).experiment)
         controller = NAMED.get(told.pop("controller", "open" if told.get("kind") in ("pulse", "pulse_train") else "p"))
-        if told and controller is not None and (controller is not BOTH or _has_both(rig)):
+        if told and controller is not None and (controller is not BOTH or suits):
             trial = Trial({"amplitude": defaults(told["kind"])["amplitude"], **told}, _scaled(controller, strength))
             found.append(trial.sized(scale if trial.closed else 1.0, most(trial, rig)))
-    usable = []
-    for trial in found:
-        top = max(trial.test.get("f0", 0.0), trial.test.get("f1", 0.0))
-        if top < 0.4 * rig.sample_rate and trial not in usable:
-            usable.append(trial)
-    return usable
+    return [trial for k, trial in enumerate(found) if trial not in found[:k]
+            and max(trial.test.get("f0", 0.0), trial.test.get("f1", 0.0)) < 0.4 * rig.sample_rate]
 
 
 def _scaled(controller: dict[str, Any], strength: float) -> dict[str, Any]:
@@ -141,9 +135,3 @@ def _scaled(controller: dict[str, Any], strength: float) -> dict[str, Any]:
     if "gain" not in controller or strength == 1.0:
         return controller
     return {**controller, "gain": float(f"{controller['gain'] * strength:.3g}")}
-
-
-def _has_both(rig: Rig) -> bool:
-    """Whether the accelerometer's compensator, whose coefficients are given sampled, suits a rig."""
-    return (rig.accelerometer is not None and rig.sample_rate == SAMPLED_AT and rig.amplifier.limit == USUAL_LIMIT
-            and rig.encoder.counts_per_revolution == USUAL_TURN)

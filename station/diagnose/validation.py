@@ -207,11 +207,7 @@ def standard_error(gains: np.ndarray) -> float:
 
 def contradicted(gains: np.ndarray, relieved: float) -> bool:
     """Whether unseen runs (gains, runs), with what the rig file states of its constants, speak against causes: together
-    they are not met better than by a refit alone by UNSEEN standard errors.
-
-    Of rules that predict as well, within the error of the comparison, the simpler one is taken (Hastie, Tibshirani and
-    Friedman, section 7.10).
-    """
+    they are not met better than by a refit alone by UNSEEN standard errors."""
     return not float(gains.sum()) + relieved >= UNSEEN * standard_error(gains)     # what is no number does not help
 
 
@@ -224,9 +220,7 @@ def gain(data: Dataset, names: Sequence[str], before: Sequence[Simulation], afte
     """
     found, fractions, runs = {}, [], [RunGain(run=name) for name in names]
     for c, channel in enumerate(CHANNELS[: data.channels]):
-        error = {"before": 0.0, "after": 0.0}
-        spread = explained = explainable = 0.0
-        counted = False
+        spread = error_before = error_after = explained = explainable = 0.0
         for r, (run, rows, old, new) in enumerate(zip(data.runs, data.windows, before, after, strict=True)):
             measured = getattr(run, channel)[rows]
             size = float(np.sum((measured - measured.mean()) ** 2))
@@ -236,16 +230,15 @@ def gain(data: Dataset, names: Sequence[str], before: Sequence[Simulation], afte
             b, a = nrmse(measured, getattr(old, channel)[rows]), nrmse(measured, getattr(new, channel)[rows])
             setattr(runs[r], channel, ChannelGain(nrmse_before=b, nrmse_after=a))
             spread += size
-            error["before"] += b * b * size
-            error["after"] += a * a * size
+            error_before += b * b * size
+            error_after += a * a * size
             if b > EXPLAINABLE * least:
-                counted = True
                 explained += b - a
                 explainable += b - least
         if spread:
-            found[channel] = ChannelGain(nrmse_before=float(np.sqrt(error["before"] / spread)),
-                                         nrmse_after=float(np.sqrt(error["after"] / spread)))
-        if counted:
+            found[channel] = ChannelGain(nrmse_before=float(np.sqrt(error_before / spread)),
+                                         nrmse_after=float(np.sqrt(error_after / spread)))
+        if explainable:
             fractions.append(explained / explainable)
     between, parts = repeats(data.runs), parts or [slice(None)] * len(runs)
     for r, (run, old, new) in enumerate(zip(data.runs, before, after, strict=True)):
