@@ -53,6 +53,7 @@ from station.diagnose.validation import (
     log_densities,
     predicted_ahead,
     relief,
+    seconds_ahead,
     simulate_runs,
     simulate_unseen,
     standard_error,
@@ -158,8 +159,8 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     extended = best.space.rig_at(best.x) if causes else nothing.space.rig_at(nothing.x)
     refit_rig = nothing.space.rig_at(nothing.x)
     shown: list[Simulation | None] = list(after) if causes else [None] * len(runs)
-    comparisons = [RunComparison(run, b, r, a, part=part)
-                   for run, b, r, a, part in zip(runs, before, refit, shown, parts, strict=True)]
+    comparisons = [RunComparison(run, b, r, a, seconds_ahead(data, k), part)
+                   for k, (run, b, r, a, part) in enumerate(zip(runs, before, refit, shown, parts, strict=True))]
     report("choosing the next experiment", 0.96)
     choice = choose(search, found, decision)
     decided = decision in ("explained", "nothing_missing") and len(given) >= FEW

@@ -81,6 +81,8 @@ class RunGain(_Table):
     """One run that the fit behind it has not seen."""
 
     run: str
+    seconds_ahead: float | None = None
+    """How far ahead the run is predicted where its loop cannot be simulated; None: its errors are of the whole loop."""
     encoder: ChannelGain | None = None
     accel: ChannelGain | None = None
     ahead: dict[str, ChannelGain] = Field(default_factory=dict)
@@ -194,6 +196,8 @@ class RunComparison:
     before: Simulation
     refit: Simulation
     after: Simulation | None
+    seconds_ahead: float | None = None
+    """As ``RunGain`` has it."""
     part: slice = field(default_factory=lambda: slice(None))
     """The rows that it is judged by: of a run that is alone one half."""
 

@@ -29,19 +29,26 @@ OWN_STEPS = 8
 """Most steps to what a run has of its own."""
 
 
+def seconds_ahead(data: Dataset, run: int) -> float | None:
+    """How far ahead a run is predicted where its loop cannot be closed again: its controller is unknown, or its log
+    begins in motion.  None: it is simulated as a whole."""
+    this = data.runs[run]
+    lost = this.metadata.controller.get("kind") == "unknown" or data.warm[run] > 0
+    return UNKNOWN_AHEAD if lost and not this.open_loop else None
+
+
 def whole_run(data: Dataset, model: Model, run: int, own: np.ndarray, *, rounding: bool = True,
               zero: float = 0.0, place: float = 0.0) -> Simulation:
     """One run as its test would have gone on a rig; ``own`` (4) as ``Dataset.own`` has it.
 
-    A closed loop is simulated from its reference, an open one from its command.  Where the controller is unknown, or
-    the log begins in motion, the loop cannot be closed, and the run is predicted UNKNOWN_AHEAD from what was read
-    before.
+    A closed loop is simulated from its reference, or predicted ``seconds_ahead`` of what was read before; an open one
+    is simulated from its command.
     """
-    this, moving, (start, offset, share, constant) = data.runs[run], data.warm[run] > 0, (float(v) for v in own)
-    if not moving and (this.metadata.controller.get("kind") != "unknown" or this.open_loop):
+    this, ahead, (start, offset, share, constant) = data.runs[run], seconds_ahead(data, run), (float(v) for v in own)
+    if ahead is None and not data.warm[run]:
         return simulate_model(model, this, rounding=rounding, start_angle=angle_that_reads(model.rig, start, zero),
                               accel_offset=offset, zero=zero, gap_place=place, more=(share, constant))
-    watched = observers(data.rig, data.noise[0], (math.inf if this.open_loop else UNKNOWN_AHEAD,))
+    watched = observers(data.rig, data.noise[0], (ahead or math.inf,))
     found = predict_run(data, model, watched, run, own, zero=zero, place=place)[0][0]
     if rounding:
         found = np.floor(found + 0.5)
@@ -240,6 +247,8 @@ def gain(data: Dataset, names: Sequence[str], before: Sequence[Simulation], afte
                                          nrmse_after=float(np.sqrt(error_after / spread)))
         if explainable:
             fractions.append(explained / explainable)
+    for r, row in enumerate(runs):
+        row.seconds_ahead = seconds_ahead(data, r)
     between, parts = repeats(data.runs), parts or [slice(None)] * len(runs)
     for r, (run, old, new) in enumerate(zip(data.runs, before, after, strict=True)):
         runs[r].repeats = between[r]

@@ -18,7 +18,6 @@ import station
 from station.diagnose.odds import RESAMPLES, SEED
 from station.diagnose.result import Cause, DiagnosisResult, Estimate, RunComparison
 from station.diagnose.thresholds import STABLE
-from station.diagnose.validation import UNKNOWN_AHEAD
 from station.pictures.evidence import Evidence
 from station.view import figures, remaining, wording
 from station.view.html import render, script_json, write_page
@@ -169,14 +168,9 @@ class _Page:
         return self.diagnosis.verdict == "ambiguous"
 
     @property
-    def unknown_ahead(self) -> float:
-        """Seconds ahead that runs are predicted whose controller is unknown."""
-        return UNKNOWN_AHEAD
-
-    @property
-    def predicted(self) -> list[str]:
-        """Names of the runs that are predicted and not simulated as a whole."""
-        return [c.run.name for c in self.result.comparisons if wording.is_predicted(c.run)]
+    def predicted(self) -> dict[str, float]:
+        """Of the runs that are predicted and not simulated as a whole, how many seconds ahead."""
+        return {c.run.name: c.seconds_ahead for c in self.result.comparisons if c.seconds_ahead is not None}
 
     @property
     def ahead_times(self) -> list[str]:
@@ -371,4 +365,5 @@ class _Page:
         return {"began": str(facts.entries().get("began") or "")[:16].replace("T", " "),
                 "test": wording.test_words(facts.test), "controller": wording.test_words(facts.controller),
                 "samples": f"{len(run.t)} at {run.sample_rate:.0f} Hz", "start": facts.start,
-                "use": "held out" + (f", predicted {UNKNOWN_AHEAD:g} s ahead" if wording.is_predicted(run) else "")}
+                "use": "held out" + ("" if comparison.seconds_ahead is None else
+                                        f", predicted {comparison.seconds_ahead:g} s ahead")}

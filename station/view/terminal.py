@@ -10,7 +10,6 @@ from rich.table import Table
 from rich.text import Text
 
 from station.diagnose.result import Diagnosis, DiagnosisResult, RunComparison
-from station.diagnose.validation import UNKNOWN_AHEAD
 from station.errors import printable
 from station.view import wording
 
@@ -74,9 +73,11 @@ def print_comparison(comparisons: Sequence[RunComparison], console: Console,
             rows.append((c.run.name, words, *errors, *between))
     console.print(_table("Error on runs that no fit has seen, share of the signal",
                          ["run", "channel", "before", "re-fitted", "after", *extra], rows))
-    if any(wording.is_predicted(c.run) for c in comparisons):
-        console.print(f"Runs whose controller is unknown are predicted {UNKNOWN_AHEAD:g} s ahead; the others are "
-                      "simulated as a whole.")
+    ahead = [c for c in comparisons if c.seconds_ahead is not None]
+    if ahead:
+        names = ", ".join(c.run.name for c in ahead)
+        console.print(_plain(f"{names}: predicted {ahead[0].seconds_ahead:g} s ahead, for a loop of unknown "
+                             "controller, or in motion from the start, cannot be simulated."))
 
 
 def _print_ahead(found: Diagnosis, console: Console) -> None:

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
         Wrong,
     )
     from station.rig import Rig
-    from station.runs.run import Run
 
 VERDICTS = {"explained": "explained", "partly_explained": "partly explained", "unexplained": "unexplained",
             "nothing_missing": "nothing missing", "ambiguous": "ambiguous", "not_enough_data": "not enough data"}
@@ -361,11 +360,6 @@ def gain_rows(diagnosis: Diagnosis) -> list[tuple[str, ChannelGain]]:
     """The gain per channel, in words, of the channels that have one."""
     pairs = ((CHANNELS[name], getattr(diagnosis.gain, name)) for name in ("encoder", "accel"))
     return [(name, gain) for name, gain in pairs if gain is not None]
-
-
-def is_predicted(run: Run) -> bool:
-    """Whether a run's loop was closed by a controller that its log does not name: no whole loop can be simulated."""
-    return run.metadata.controller.get("kind") == "unknown" and not run.open_loop
 
 
 def step_words(measures: dict[str, float | None]) -> str:

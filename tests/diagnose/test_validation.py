@@ -10,7 +10,15 @@ import numpy as np
 import pytest
 
 from station.diagnose import validation as module
-from station.diagnose.validation import contradicted, leave_each_out, log_density, relief, unseen_gain
+from station.diagnose.validation import (
+    UNKNOWN_AHEAD,
+    contradicted,
+    leave_each_out,
+    log_density,
+    relief,
+    seconds_ahead,
+    unseen_gain,
+)
 
 ROWS = 200
 PRIOR = np.array([1e6, 0.04, 4.0, 0.25])
@@ -121,3 +129,11 @@ def test_every_run_is_left_out_once_from_where_the_fit_of_all_ended(monkeypatch:
     assert left[2] == "of all"
     assert [row[0] for row in asked] == [[0.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 0.0]]
     assert {row[1:] for row in asked} == {("here", "known")}
+
+
+@pytest.mark.parametrize(("kind", "warm", "ahead"), [
+    ("p", 0, None), ("p", 500, UNKNOWN_AHEAD), ("unknown", 0, UNKNOWN_AHEAD), ("open", 0, None), ("open", 500, None)])
+def test_a_loop_that_cannot_be_closed_again_is_predicted_half_a_second_ahead(kind: str, warm: int, ahead: float | None,
+                                                                             ) -> None:
+    run = SimpleNamespace(metadata=SimpleNamespace(controller={"kind": kind}), open_loop=kind == "open")
+    assert seconds_ahead(SimpleNamespace(runs=[run], warm=(warm,)), 0) == ahead
