@@ -189,20 +189,20 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
             raise WorkError(f"{run.name}: sampled at {run.sample_rate:.6g} Hz, the rig at {rig.sample_rate:.6g} Hz")
     logged = tuple(run.logged for run in runs)
     encoder, accel, rows = noise_sigmas(tests)
-    meshed = uneven(rig.meshed())
+    meshed = rig.meshed()
+    if rig.beam is not None:    # it need not be quite uniform
+        meshed = meshed.model_copy(update={"uncertainty": {**dict.fromkeys(sorted(PROFILE), RIGIDITY),
+                                                           **rig.uncertainty}})
     warm = tuple(_warm_rows(meshed, run, (encoder, accel) if has_accel else (encoder,)) for run in runs)
-    kept = tuple(np.zeros_like(rows) for rows in logged)
-    for row, rows, first, window in zip(kept, logged, warm, windows or [slice(None)] * len(runs), strict=True):
-        row[window] = rows[window]
+    kept = tuple(np.zeros_like(seen) for seen in logged)
+    for row, seen, first, window in zip(kept, logged, warm, windows or [slice(None)] * len(runs), strict=True):
+        row[window] = seen[window]
         row[:first] = False
     groups = list(dict.fromkeys(zero_ids := [r.metadata.zero_id or f"own {i}" for i, r in enumerate(runs)]))
     length = max(SEGMENT, sum(len(r.t) / r.sample_rate for r in runs) / SEGMENTS)
-    segment: list[np.ndarray] = []
-    owner: list[int] = []
-    for i, run in enumerate(runs):
-        count = max(round(len(run.t) / run.sample_rate / length), 1)
-        segment.append(len(owner) + np.arange(len(run.t)) * count // len(run.t))
-        owner += [i] * count
+    parts = [max(round(len(r.t) / r.sample_rate / length), 1) for r in runs]
+    segment = tuple(first + np.arange(len(r.t)) * count // len(r.t)
+                    for r, count, first in zip(runs, parts, np.cumsum(parts) - parts, strict=True))
     return Dataset(
         meshed, tuple(runs), kept, logged,
         tuple(np.stack([r.encoder, r.accel if has_accel else np.zeros_like(r.encoder)]).astype(float) for r in runs),
@@ -211,14 +211,8 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
         np.array([float(np.mean(r.encoder[rest_start(r)])) * rig.angle_per_count for r in runs]),
         np.array([float(np.mean(r.accel[: len(r) if w else max(rest_rows(r), 1)])) if has_accel else 0.0
                   for r, w in zip(runs, warm, strict=True)]), warm,
-        tuple(groups.index(z) for z in zero_ids), clock_evidence(tests), tuple(segment), np.array(owner))
-
-
-def uneven(rig: Rig) -> Rig:
-    """A rig whose beam need not be quite uniform: its profile's constants may move by RIGIDITY."""
-    if rig.beam is None:
-        return rig
-    return rig.model_copy(update={"uncertainty": {**dict.fromkeys(sorted(PROFILE), RIGIDITY), **rig.uncertainty}})
+        tuple(groups.index(z) for z in zero_ids), clock_evidence(tests), segment,
+        np.repeat(np.arange(len(runs)), parts))
 
 
 def first_seconds(data: Dataset, seconds: float) -> Dataset:

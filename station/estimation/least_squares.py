@@ -55,8 +55,6 @@ NEAR, FAR = 1e-5, 1e-3
 """First damping, a share of the largest information, of a fit that begins where another one ended and of one that
 begins anywhere else (Madsen, Nielsen and Tingleff, Methods for Non-Linear Least Squares Problems, 2nd ed. 2004,
 section 3.2)."""
-MOST_GAINED = 20.0
-"""What a step that is not simulated may be expected to gain of the data's part of the objective."""
 LEAST_DAMPING = 1e-6
 """In units of the prior's precision, as all damping: what the data say nothing of must be damped, too, or it leads out
 of narrow curved valleys (Transtrum, Machta and Sethna, Phys. Rev. E 83, 2011, section VI)."""
@@ -85,25 +83,31 @@ class Information:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
-    """A fitted hypothesis."""
+class _Point:
+    """Parameters, what runs have of their own, and how well they predict."""
 
-    space: Parameters
     x: np.ndarray
     own: np.ndarray
     """(runs, 4) what each run has of its own (``Dataset.own``)."""
-    away: np.ndarray
-    """(runs, c) of that, as far as it is free, from where it was before the fit."""
-    objective: float
-    """-2 ln of likelihood (tempered) times priors."""
-    squares: np.ndarray
-    """(runs, b) sums of squared scaled errors."""
-    counts: np.ndarray
-    """(runs, b) independent errors of the sensors."""
-    residuals: list[np.ndarray]
-    """Per run (b, n), scaled."""
     predicted: list[np.ndarray]
     """Per run (b, n), counts."""
+    residuals: list[np.ndarray]
+    """Per run (b, n), scaled."""
+    squares: np.ndarray
+    """(runs, b) sums of squared scaled errors."""
+    objective: float
+    """-2 ln of likelihood (tempered) times priors."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit(_Point):
+    """A fitted hypothesis."""
+
+    space: Parameters
+    away: np.ndarray
+    """(runs, c) what runs have of their own, as far as it is free, from where it was before the fit."""
+    counts: np.ndarray
+    """(runs, b) independent errors of the sensors."""
     jacobian: list[np.ndarray] | None
     """Per run (p + c, b, n), scaled; None where it was let go."""
     information: Information
@@ -192,7 +196,7 @@ class Fit:
                 slopes[:, :p] - (across @ force[..., None])[..., 0], inverse, force)
 
     def _integrated(self, matrices: np.ndarray, slopes: np.ndarray, own: np.ndarray, most_gained: float = np.inf,
-                    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+                    ) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """By Laplace's approximation, one Gauss-Newton step from the fit, for each of the prior precisions ``own``
         (..., runs, c): what is added to -2 ln L there, priors included; ln of the squared volume that the data leave of
         the priors', both (...); the posterior's precision (..., p, p); and of what runs have of their own the step
@@ -210,7 +214,7 @@ class Fit:
                  + np.sum(own * (self.away + moved) ** 2, axis=(-2, -1)))
         volume = (np.sum(np.log(prior)) - np.linalg.slogdet(matrix)[1]
                   + np.sum(np.log(own), axis=(-2, -1)) + np.sum(np.linalg.slogdet(inverse)[1], axis=-1))
-        return value, volume, matrix, moved, inverse
+        return value, volume, (matrix, moved, inverse)
 
     def most_likely_differ(self, weighing: Weighing) -> tuple[float, float]:
         """How much runs differ in what the motor does more than the rig says (``Weighing.differ``).
@@ -229,15 +233,15 @@ class Fit:
 
         def surprise(logs: np.ndarray) -> tuple[float, np.ndarray]:
             sizes = np.exp(logs)
-            value, volume, matrix, moved, inverse = self._integrated(matrices, slopes, self.own_precision(sizes))
+            value, volume, (matrix, moved, inverse) = self._integrated(matrices, slopes, self.own_precision(sizes))
             coupled = inverse @ matrices[:, p:, :p]
             variance = np.diagonal(inverse + coupled @ np.linalg.solve(matrix, coupled.transpose(0, 2, 1)),
                                    axis1=1, axis2=2)
             found = np.sum(((self.away + moved) ** 2 + variance)[:, -2:], axis=0)
             return float(value - volume), 2.0 * (len(moved) - found / sizes**2)
 
-        grid = np.stack(np.meshgrid(*np.linspace(*ends, GRID).T), axis=-1).reshape(-1, 2)
-        value, volume, *_ = self._integrated(matrices, slopes, self.own_precision(np.exp(grid)))
+        grid = np.stack(np.meshgrid(*np.linspace(ends[0], ends[1], GRID).T), axis=-1).reshape(-1, 2)
+        value, volume, _ = self._integrated(matrices, slopes, self.own_precision(np.exp(grid)))
         begun = grid[np.argmin(value - volume)]
         sizes = np.exp(minimize(surprise, begun, jac=True, method="L-BFGS-B", bounds=ends.T).x)
         return float(sizes[0]), float(sizes[1])
@@ -254,21 +258,16 @@ class Fit:
         sizes = np.tile(weighing.differ, (2, SIZES, 1))
         for k, end in enumerate(largest_differ(self.space.rig)):
             sizes[k, :, k] = np.exp(np.linspace(np.log(LEAST_DIFFERENCE), np.log(end), SIZES))
-        value, volume, *_ = self._integrated(*self._by_run(weighing),
-                                             self.own_precision(np.vstack([weighing.differ, *sizes])))
+        value, volume, _ = self._integrated(*self._by_run(weighing),
+                                            self.own_precision(np.vstack([weighing.differ, *sizes])))
         log_density = 0.5 * (volume - value)
         others = np.minimum(log_density[1:] - log_density[0], 0.0).reshape(2, SIZES)
         return float(np.sum(np.log(np.trapezoid(np.exp(others), axis=1) / (SIZES - 1))))
 
     @cached_property
-    def precision(self) -> np.ndarray:
-        """Posterior precision (p, p) under the fit's own weighing."""
-        return self.normal(self.weighing)[0] + np.diag(self.space.precision)
-
-    @cached_property
     def covariance(self) -> np.ndarray:
-        """Posterior covariance (p, p)."""
-        return np.linalg.pinv(self.precision, hermitian=True)
+        """Posterior covariance (p, p) under the fit's own weighing."""
+        return np.linalg.pinv(self.normal(self.weighing)[0] + np.diag(self.space.precision), hermitian=True)
 
     def log_evidence(self, weighing: Weighing, drawn: np.ndarray | None = None) -> float:
         """Laplace's approximation of ln p(data | hypothesis), up to a constant of the data.
@@ -276,19 +275,12 @@ class Fit:
         Under another weighing, or of a resample, one Gauss-Newton step is taken from the fit.
         """
         squares, counts, independent = self.drawn(weighing, drawn)
-        value, volume, *_ = self._integrated(*self._by_run(weighing, drawn), self.own_precision(weighing.differ),
-                                             MOST_GAINED)
+        value, volume, _ = self._integrated(*self._by_run(weighing, drawn), self.own_precision(weighing.differ),
+                                            MOST_GAINED)
         return float(0.5 * (volume - value)) - 0.5 * cost(squares, counts, independent) / weighing.temperature
 
-
-@dataclass(frozen=True, eq=False)
-class _Point:
-    x: np.ndarray
-    own: np.ndarray
-    predicted: list[np.ndarray]
-    residuals: list[np.ndarray]
-    squares: np.ndarray
-    objective: float
+MOST_GAINED = 20.0
+"""What a step that is not simulated may be expected to gain of the data's part of the objective."""
 
 
 class _Descent:
@@ -466,9 +458,9 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
         jac, fresh, renewals = descent.jacobian(here), True, renewals - 1
     if to_the_end and not fresh:
         jac = descent.jacobian(here)
-    return Fit(space, here.x, here.own, descent.away(here.own), here.objective, here.squares, descent.counts,
-               here.residuals, here.predicted, jac, descent.information(here, jac), weighing, descent.nuisance,
-               data.segment_run)
+    return Fit(**vars(here), space=space, away=descent.away(here.own), counts=descent.counts, jacobian=jac,
+               information=descent.information(here, jac), weighing=weighing, nuisance=descent.nuisance,
+               owner=data.segment_run)
 
 
 def _broyden(jac: list[np.ndarray], old: _Point, new: _Point, descent: _Descent) -> None:

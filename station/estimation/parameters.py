@@ -205,13 +205,12 @@ class Parameters:
 
     def names(self) -> list[str]:
         """Names in the order of x: ``motor.gain``, ``coulomb_friction@motor.torque``."""
-        found = list(self.paths)
-        for coordinate in self.coordinates:
-            cls, at = self.hypothesis.effects[coordinate.effect]
-            found.append(f"{cls.name}@{at}.{coordinate.name}")
-        found += [f"encoder zero {k + 2}" for k in range(self.zeros)]
-        found += [f"{self.rig.effects[h.effect].name}.{h.name}" for h in self.held]
-        return found + [f"place in the gap, run {k + 1}" for k in range(self.gap_places)]
+        effects = self.hypothesis.effects
+        return [*self.paths,
+                *(f"{cls.name}@{at}.{c.name}" for c in self.coordinates for cls, at in [effects[c.effect]]),
+                *(f"encoder zero {k + 2}" for k in range(self.zeros)),
+                *(f"{self.rig.effects[h.effect].name}.{h.name}" for h in self.held),
+                *(f"place in the gap, run {k + 1}" for k in range(self.gap_places))]
 
 
 def prior_covariance(rig: Rig, paths: Sequence[str]) -> np.ndarray:

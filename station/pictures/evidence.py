@@ -367,10 +367,11 @@ class _Ratios(NamedTuple):
 def _ratios(cause: _Cause, over_command: bool, weigh: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> _Ratios | None:
     """Over the command or over the rig without the cause; shown is the channel of the largest sum of what ``weigh``
     says of the extended rig and of that without the cause."""
-    simulated = [[_command_driven(rig, run) for run in cause.runs] for rig in (cause.extended, cause.without)]
+    sources: list[Sequence[Run | Simulation]] = [
+        cause.runs, *([_command_driven(rig, run) for run in cause.runs] for rig in (cause.extended, cause.without))]
     best, most = None, -1.0
     for channel in _channels(cause):
-        moves = [[_moves(getattr(one, channel), channel) for one in ones] for ones in (cause.runs, *simulated)]
+        moves = [[_moves(getattr(one, channel), channel) for one in ones] for ones in sources]
         inputs = [run.command - run.command[0] for run in cause.runs] if over_command else moves[-1]
         (frequency, measured, error), (_, extended, _), (_, without, _) = (
             _transfer(list(zip(inputs, outputs, strict=True)), cause.extended.sample_rate) for outputs in moves)
