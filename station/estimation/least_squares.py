@@ -45,8 +45,7 @@ LARGEST = np.array([0.3, 0.01])
 """Most by which runs differ: a share of the command (what the voltage of a supply that nothing regulates, a battery or
 a wall adapter, may differ by from one day to another), and of the amplifier's limit (an offset of its input)."""
 GRID = 7
-"""Sizes of either kind, of which the best pair is where the most likely ones are sought: two units of the logarithm
-apart."""
+"""Sizes of either kind, two units of the logarithm apart: the search for the most likely begins at their best pair."""
 SIZES = 30
 """Sizes, evenly spaced in the logarithm, over which a density is averaged: half a unit apart."""
 LONGEST = 2.0
@@ -415,9 +414,8 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
     """Minimise the objective from ``x``; ``tolerance`` is the fall of it that ends the fit; ``to_the_end`` only if no
     more is expected, and with derivatives of where it ended.
 
-    Expected is what a step without damping would win of the objective's quadratic (the squared Newton decrement: Boyd
-    and Vandenberghe, Convex Optimization, 2004, section 9.5): in a long valley a damped step wins next to
-    nothing wherever it is.
+    Expected is the squared Newton decrement (Boyd and Vandenberghe, Convex Optimization, 2004, section 9.5): in a long
+    valley a damped step wins next to nothing wherever it is.
 
     ``runs`` (runs): weights, of which 0 leaves a run out; then the prior alone moves what it has of its own.
     ``jacobian`` (per run (p + c, b, n)) starts the quick way; where it leads no further the derivatives are computed

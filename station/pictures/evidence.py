@@ -142,8 +142,8 @@ def _thin(title: str, kind: str, xlabel: str, ylabel: str, x: np.ndarray, y: np.
           law: tuple[np.ndarray, np.ndarray] | None = None, note: str = "") -> Evidence:
     """A picture of at most POINTS points."""
     every = slice(None, None, max(-(-len(x) // POINTS), 1))
-    return Evidence(title, kind, xlabel, ylabel, np.asarray(x)[every], np.asarray(y)[every],
-                    None if law is None else law[0], None if law is None else law[1], note)
+    law_x, law_y = law or (None, None)
+    return Evidence(title, kind, xlabel, ylabel, x[every], y[every], law_x, law_y, note)
 
 
 def _estimates(cause: _Cause, at: str) -> list[MissingTorque]:

@@ -236,18 +236,18 @@ def _likeliest(system: _System, scale: float, excess: np.ndarray, forcing: np.nd
     grows.
     """
     first, grid, before = system.process(scale), np.log(SIZES * scale), math.inf
+
+    def cost(log: float, tried: _System) -> float:
+        return _misfit(*tried[:4], tried.process(math.exp(log)), first, excess, forcing)
+
     for factor in factors:
         tried = system._replace(r=system.r * np.array([1.0, factor**2])[: excess.shape[1]])
-
-        def cost(log: float, tried: _System = tried) -> float:
-            return _misfit(*tried[:4], tried.process(math.exp(log)), first, excess, forcing)
-
-        costs = [cost(log) for log in grid]
+        costs = [cost(log, tried) for log in grid]
         if min(costs) >= before:
             break
-        before, best, trusted, chosen, mistrust = min(costs), int(np.argmin(costs)), cost, tried, factor
+        before, best, chosen, mistrust = min(costs), int(np.argmin(costs)), tried, factor
     around = (grid[max(best - 1, 0)], grid[min(best + 1, grid.size - 1)])
-    found = minimize_scalar(trusted, bounds=around, method="bounded", options={"xatol": 0.1})
+    found = minimize_scalar(cost, args=(chosen,), bounds=around, method="bounded", options={"xatol": 0.1})
     return chosen, math.exp(found.x), mistrust
 
 
