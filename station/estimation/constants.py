@@ -90,9 +90,9 @@ def unknown(predictor: Predictor) -> Weighing:
     return Weighing(PRIOR_SHARE * predictor.counts, 1.0, (share, constant))
 
 
-def settled(predictor: Predictor, found: Fit, rounds: int = 4) -> Fit:
+def settled(predictor: Predictor, found: Fit) -> Fit:
     """A fit under the weighing that its own errors give."""
-    for _ in range(rounds):
+    for _ in range(4):
         before = found.weighing
         now = weighing_of(predictor, found)
         found = fit(predictor, found.space, now, found.x, found.own)

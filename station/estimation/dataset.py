@@ -188,36 +188,31 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
         if abs(run.sample_rate / rig.sample_rate - 1.0) > RATES:
             raise WorkError(f"{run.name}: sampled at {run.sample_rate:.6g} Hz, the rig at {rig.sample_rate:.6g} Hz")
     logged = tuple(run.logged for run in runs)
-    kept = logged if windows is None else tuple(_within(w, rows) for w, rows in zip(windows, logged, strict=True))
     encoder, accel, rows = noise_sigmas(tests)
-    meshed = uneven(rig.meshed())
+    meshed = rig.meshed()
+    if rig.beam is not None:    # it need not be quite uniform
+        meshed = meshed.model_copy(update={"uncertainty": {**dict.fromkeys(sorted(PROFILE), RIGIDITY),
+                                                           **rig.uncertainty}})
     warm = tuple(_warm_rows(meshed, run, (encoder, accel) if has_accel else (encoder,)) for run in runs)
-    kept = tuple(k & (np.arange(k.size) >= w) for k, w in zip(kept, warm, strict=True))
+    kept = tuple(np.zeros_like(seen) for seen in logged)
+    for row, seen, first, window in zip(kept, logged, warm, windows or [slice(None)] * len(runs), strict=True):
+        row[window] = seen[window]
+        row[:first] = False
     groups = list(dict.fromkeys(zero_ids := [r.metadata.zero_id or f"own {i}" for i, r in enumerate(runs)]))
-    total = sum(len(r.t) / r.sample_rate for r in runs)
-    length = max(SEGMENT, total / SEGMENTS)
-    segment: list[np.ndarray] = []
-    owner: list[int] = []
-    for i, run in enumerate(runs):
-        count = max(round(len(run.t) / run.sample_rate / length), 1)
-        segment.append(len(owner) + np.arange(len(run.t)) * count // len(run.t))
-        owner += [i] * count
+    length = max(SEGMENT, sum(len(r.t) / r.sample_rate for r in runs) / SEGMENTS)
+    parts = [max(round(len(r.t) / r.sample_rate / length), 1) for r in runs]
+    segment = tuple(first + np.arange(len(r.t)) * count // len(r.t)
+                    for r, count, first in zip(runs, parts, np.cumsum(parts) - parts, strict=True))
     return Dataset(
         meshed, tuple(runs), kept, logged,
         tuple(np.stack([r.encoder, r.accel if has_accel else np.zeros_like(r.encoder)]).astype(float) for r in runs),
-        tuple(_shares(r, w, encoder, 2 if has_accel else 1) for r, w in zip(runs, kept, strict=True)),
+        tuple(_shares(r, w, encoder)[: 1 + has_accel] for r, w in zip(runs, kept, strict=True)),
         (encoder, accel), rows,
         np.array([float(np.mean(r.encoder[rest_start(r)])) * rig.angle_per_count for r in runs]),
         np.array([float(np.mean(r.accel[: len(r) if w else max(rest_rows(r), 1)])) if has_accel else 0.0
                   for r, w in zip(runs, warm, strict=True)]), warm,
-        tuple(groups.index(z) for z in zero_ids), clock_evidence(tests), tuple(segment), np.array(owner))
-
-
-def uneven(rig: Rig) -> Rig:
-    """A rig whose beam need not be quite uniform: its profile's constants may move by RIGIDITY."""
-    if rig.beam is None:
-        return rig
-    return rig.model_copy(update={"uncertainty": {**dict.fromkeys(sorted(PROFILE), RIGIDITY), **rig.uncertainty}})
+        tuple(groups.index(z) for z in zero_ids), clock_evidence(tests), segment,
+        np.repeat(np.arange(len(runs)), parts))
 
 
 def first_seconds(data: Dataset, seconds: float) -> Dataset:
@@ -250,20 +245,10 @@ def _warm_rows(rig: Rig, run: Run, noise: Sequence[float]) -> int:
     return math.ceil(WARM * rig.sample_rate) if moving and len(run) > 2 * WARM * rig.sample_rate else 0
 
 
-def _within(window: slice, logged: np.ndarray) -> np.ndarray:
-    rows = np.zeros_like(logged)
-    rows[window] = logged[window]
-    return rows
-
-
-def _shares(run: Run, window: np.ndarray, noise: float, channels: int) -> np.ndarray:
-    """Independent errors per sample (channels, n).
-
-    While the encoder stands still its rounding error stands still too, so that many samples say no more than one.
-    """
-    rounded = np.ones_like(run.encoder) if noise > UNROUNDED else rounding_shares(run.encoder)
-    share = np.stack([rounded, np.ones_like(rounded)])[:channels]
-    return share * window
+def _shares(run: Run, window: np.ndarray, noise: float) -> np.ndarray:
+    """Independent errors per sample of encoder and accelerometer (2, n)."""
+    ones = np.ones_like(run.encoder)
+    return np.stack([ones if noise > UNROUNDED else rounding_shares(run.encoder), ones]) * window
 
 
 def clock_evidence(runs: Sequence[Run]) -> tuple[float, float] | None:
@@ -274,8 +259,7 @@ def clock_evidence(runs: Sequence[Run]) -> tuple[float, float] | None:
     """
     slopes, weights = [], []
     for run in runs:
-        virtual = getattr(run.metadata, "clock", None) == "virtual"
-        if run.host_time is None or run.device_time is None or virtual:
+        if run.host_time is None or run.device_time is None or getattr(run.metadata, "clock", None) == "virtual":
             continue
         x, y = run.device_time - run.device_time.mean(), run.host_time - run.host_time.mean()
         slope = float(x @ y / (x @ x))

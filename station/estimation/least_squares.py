@@ -45,8 +45,7 @@ LARGEST = np.array([0.3, 0.01])
 """Most by which runs differ: a share of the command (what the voltage of a supply that nothing regulates, a battery or
 a wall adapter, may differ by from one day to another), and of the amplifier's limit (an offset of its input)."""
 GRID = 7
-"""Sizes of either kind, of which the best pair is where the most likely ones are sought: two units of the logarithm
-apart."""
+"""Sizes of either kind, two units of the logarithm apart: the search for the most likely begins at their best pair."""
 SIZES = 30
 """Sizes, evenly spaced in the logarithm, over which a density is averaged: half a unit apart."""
 LONGEST = 2.0
@@ -83,25 +82,31 @@ class Information:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
-    """A fitted hypothesis."""
+class _Point:
+    """Parameters, what runs have of their own, and how well they predict."""
 
-    space: Parameters
     x: np.ndarray
     own: np.ndarray
     """(runs, 4) what each run has of its own (``Dataset.own``)."""
-    away: np.ndarray
-    """(runs, c) of that, as far as it is free, from where it was before the fit."""
-    objective: float
-    """-2 ln of likelihood (tempered) times priors."""
-    squares: np.ndarray
-    """(runs, b) sums of squared scaled errors."""
-    counts: np.ndarray
-    """(runs, b) independent errors of the sensors."""
-    residuals: list[np.ndarray]
-    """Per run (b, n), scaled."""
     predicted: list[np.ndarray]
     """Per run (b, n), counts."""
+    residuals: list[np.ndarray]
+    """Per run (b, n), scaled."""
+    squares: np.ndarray
+    """(runs, b) sums of squared scaled errors."""
+    objective: float
+    """-2 ln of likelihood (tempered) times priors."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit(_Point):
+    """A fitted hypothesis."""
+
+    space: Parameters
+    away: np.ndarray
+    """(runs, c) what runs have of their own, as far as it is free, from where it was before the fit."""
+    counts: np.ndarray
+    """(runs, b) independent errors of the sensors."""
     jacobian: list[np.ndarray] | None
     """Per run (p + c, b, n), scaled; None where it was let go."""
     information: Information
@@ -144,15 +149,10 @@ class Fit:
 
     def drawn(self, weighing: Weighing, drawn: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Squares, counts and independent errors (runs, b) of a resample."""
-        info, runs = self.information, len(self.squares)
-        many = np.ones(len(self.owner)) if drawn is None else drawn
-        sums = np.zeros((runs, *info.squares.shape[1:])), np.zeros((runs, *info.counts.shape[1:]))
-        np.add.at(sums[0], self.owner, many[:, None] * info.squares)
-        np.add.at(sums[1], self.owner, many[:, None] * info.counts)
-        whole = np.zeros_like(sums[1])
-        np.add.at(whole, self.owner, info.counts)
-        counts = np.maximum(sums[1], 1e-9)
-        return sums[0], counts, weighing.independent * counts / np.maximum(whole, 1e-9)
+        info, many = self.information, 1.0 if drawn is None else drawn[:, None]
+        counts = np.maximum(self._summed(many * info.counts), 1e-9)
+        independent = weighing.independent * counts / np.maximum(self._summed(info.counts), 1e-9)
+        return self._summed(many * info.squares), counts, independent
 
     def normal(self, weighing: Weighing, drawn: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Normal matrix (p, p) and gradient (p) of the data, what runs have of their own eliminated."""
@@ -161,8 +161,7 @@ class Fit:
 
     def run_normals(self, weighing: Weighing, drawn: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """The same run by run: (runs, p, p) and (runs, p)."""
-        matrices, slopes = self._by_run(weighing, drawn)
-        return self._eliminated(matrices, slopes, self.own_precision(weighing.differ))[:2]
+        return self._eliminated(*self._by_run(weighing, drawn), self.own_precision(weighing.differ))[:2]
 
     def own_precision(self, sizes: tuple[float, float] | np.ndarray) -> np.ndarray:
         """(..., runs, c) prior precisions of what runs have of their own where they differ by ``sizes`` (..., 2)."""
@@ -174,13 +173,15 @@ class Fit:
 
     def _by_run(self, weighing: Weighing, drawn: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """J'WJ (runs, p + c, p + c) and J'We (runs, p + c)."""
-        info, runs = self.information, len(self.squares)
         w = self.blocks(weighing, drawn)[self.owner] * (1.0 if drawn is None else drawn[:, None])
-        matrices = np.zeros((runs, *info.normal.shape[2:]))
-        slopes = np.zeros((runs, info.gradient.shape[2]))
-        np.add.at(matrices, self.owner, np.einsum("sb,sbij->sij", w, info.normal))
-        np.add.at(slopes, self.owner, np.einsum("sb,sbi->si", w, info.gradient))
-        return matrices, slopes
+        return (self._summed(np.einsum("sb,sbij->sij", w, self.information.normal)),
+                self._summed(np.einsum("sb,sbi->si", w, self.information.gradient)))
+
+    def _summed(self, stretches: np.ndarray) -> np.ndarray:
+        """Sums (runs, ...) over the stretches (s, ...) of each run."""
+        sums = np.zeros((len(self.squares), *stretches.shape[1:]))
+        np.add.at(sums, self.owner, stretches)
+        return sums
 
     def _eliminated(self, matrices: np.ndarray, slopes: np.ndarray, own: np.ndarray,
                     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -193,33 +194,26 @@ class Fit:
         return (matrices[:, :p, :p] - across @ matrices[:, p:, :p],
                 slopes[:, :p] - (across @ force[..., None])[..., 0], inverse, force)
 
-    def _stepped(self, matrices: np.ndarray, slopes: np.ndarray, own: np.ndarray,
-                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """One Gauss-Newton step from the fit: the posterior's precision (..., p, p), the parameters' step (..., p),
-        that of what runs have of their own (..., runs, c), and inverse precisions of that (..., runs, c, c)."""
-        p, prior = self.space.size, self.space.precision
-        normals, gradients, inverse, force = self._eliminated(matrices, slopes, own)
-        matrix = normals.sum(axis=-3) + np.diag(prior)
-        pull = gradients.sum(axis=-2) - prior * (self.x - self.space.mean)
-        step = np.linalg.solve(matrix, pull[..., None])[..., 0]
-        back = matrices[:, p:, :p] @ step[..., None, :, None]
-        return matrix, step, (inverse @ (force[..., None] - back))[..., 0], inverse
-
     def _integrated(self, matrices: np.ndarray, slopes: np.ndarray, own: np.ndarray, most_gained: float = np.inf,
-                    ) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+                    ) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """By Laplace's approximation, one Gauss-Newton step from the fit, for each of the prior precisions ``own``
         (..., runs, c): what is added to -2 ln L there, priors included; ln of the squared volume that the data leave of
-        the priors', both (...); and the step (``_stepped``)."""
-        prior = self.space.precision
-        matrix, step, moved, inverse = stepped = self._stepped(matrices, slopes, own)
-        shared = np.broadcast_to(step[..., None, :], (*moved.shape[:-1], step.shape[-1]))
+        the priors', both (...); the posterior's precision (..., p, p); and of what runs have of their own the step
+        (..., runs, c) and the inverse precisions (..., runs, c, c)."""
+        p, prior, off = self.space.size, self.space.precision, self.x - self.space.mean
+        normals, gradients, inverse, force = self._eliminated(matrices, slopes, own)
+        matrix = normals.sum(axis=-3) + np.diag(prior)
+        step = np.linalg.solve(matrix, (gradients.sum(axis=-2) - prior * off)[..., None])[..., 0]
+        back = matrices[:, p:, :p] @ step[..., None, :, None]
+        moved = (inverse @ (force[..., None] - back))[..., 0]
+        shared = np.broadcast_to(step[..., None, :], (*moved.shape[:-1], p))
         whole = np.concatenate([shared, moved], axis=-1)
         gained = np.sum(whole * (2.0 * slopes - (matrices @ whole[..., None])[..., 0]), axis=(-2, -1))
-        value = ((self.x - self.space.mean + step) ** 2 @ prior - np.minimum(gained, most_gained)
+        value = ((off + step) ** 2 @ prior - np.minimum(gained, most_gained)
                  + np.sum(own * (self.away + moved) ** 2, axis=(-2, -1)))
         volume = (np.sum(np.log(prior)) - np.linalg.slogdet(matrix)[1]
                   + np.sum(np.log(own), axis=(-2, -1)) + np.sum(np.linalg.slogdet(inverse)[1], axis=-1))
-        return value, volume, stepped
+        return value, volume, (matrix, moved, inverse)
 
     def most_likely_differ(self, weighing: Weighing) -> tuple[float, float]:
         """How much runs differ in what the motor does more than the rig says (``Weighing.differ``).
@@ -238,15 +232,14 @@ class Fit:
 
         def surprise(logs: np.ndarray) -> tuple[float, np.ndarray]:
             sizes = np.exp(logs)
-            value, volume, (matrix, _, moved, inverse) = self._integrated(matrices, slopes, self.own_precision(sizes))
+            value, volume, (matrix, moved, inverse) = self._integrated(matrices, slopes, self.own_precision(sizes))
             coupled = inverse @ matrices[:, p:, :p]
             variance = np.diagonal(inverse + coupled @ np.linalg.solve(matrix, coupled.transpose(0, 2, 1)),
                                    axis1=1, axis2=2)
             found = np.sum(((self.away + moved) ** 2 + variance)[:, -2:], axis=0)
             return float(value - volume), 2.0 * (len(moved) - found / sizes**2)
 
-        shares, constants = np.linspace(ends[0], ends[1], GRID).T
-        grid = np.stack(np.meshgrid(shares, constants), axis=-1).reshape(-1, 2)
+        grid = np.stack(np.meshgrid(*np.linspace(ends[0], ends[1], GRID).T), axis=-1).reshape(-1, 2)
         value, volume, _ = self._integrated(matrices, slopes, self.own_precision(np.exp(grid)))
         begun = grid[np.argmin(value - volume)]
         sizes = np.exp(minimize(surprise, begun, jac=True, method="L-BFGS-B", bounds=ends.T).x)
@@ -261,25 +254,19 @@ class Fit:
         """
         if len(self.squares) < SEVERAL:
             return 0.0
-        (matrices, slopes), largest = self._by_run(weighing), largest_differ(self.space.rig)
-        found = np.array(weighing.differ)
-        sizes = np.tile(found, (2, SIZES, 1))
-        for k, end in enumerate(largest):
+        sizes = np.tile(weighing.differ, (2, SIZES, 1))
+        for k, end in enumerate(largest_differ(self.space.rig)):
             sizes[k, :, k] = np.exp(np.linspace(np.log(LEAST_DIFFERENCE), np.log(end), SIZES))
-        value, volume, _ = self._integrated(matrices, slopes, self.own_precision(np.vstack([found, *sizes])))
+        value, volume, _ = self._integrated(*self._by_run(weighing),
+                                            self.own_precision(np.vstack([weighing.differ, *sizes])))
         log_density = 0.5 * (volume - value)
         others = np.minimum(log_density[1:] - log_density[0], 0.0).reshape(2, SIZES)
         return float(np.sum(np.log(np.trapezoid(np.exp(others), axis=1) / (SIZES - 1))))
 
     @cached_property
-    def precision(self) -> np.ndarray:
-        """Posterior precision (p, p) under the fit's own weighing."""
-        return self.normal(self.weighing)[0] + np.diag(self.space.precision)
-
-    @cached_property
     def covariance(self) -> np.ndarray:
-        """Posterior covariance (p, p)."""
-        return np.linalg.pinv(self.precision, hermitian=True)
+        """Posterior covariance (p, p) under the fit's own weighing."""
+        return np.linalg.pinv(self.normal(self.weighing)[0] + np.diag(self.space.precision), hermitian=True)
 
     def log_evidence(self, weighing: Weighing, drawn: np.ndarray | None = None) -> float:
         """Laplace's approximation of ln p(data | hypothesis), up to a constant of the data.
@@ -297,16 +284,6 @@ class Fit:
 
 MOST_GAINED = 20.0
 """What a step that is not simulated may be expected to gain of the data's part of the objective."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Point:
-    x: np.ndarray
-    own: np.ndarray
-    predicted: list[np.ndarray]
-    residuals: list[np.ndarray]
-    squares: np.ndarray
-    objective: float
 
 
 class _Descent:
@@ -332,12 +309,12 @@ class _Descent:
         with np.errstate(over="ignore", invalid="ignore"):
             residuals = [(m - y) * s for m, y, s in zip(self.measured, predicted, self.scale, strict=True)]
             squares = np.array([np.sum(e * e, axis=1) for e in residuals])
-        value = cost(squares[self.runs > 0.0], self.counts[self.runs > 0.0],
-                     (self.runs[:, None] * self.weighing.independent)[self.runs > 0.0]) / self.weighing.temperature
+        used = self.runs > 0.0
+        value = cost(squares[used], self.counts[used],
+                     (self.runs[:, None] * self.weighing.independent)[used]) / self.weighing.temperature
         value += float(self.space.precision @ (x - self.space.mean) ** 2)
         value += float(np.sum(self.nuisance * self.away(own) ** 2))
-        value = value if np.all(np.isfinite(squares)) else np.inf
-        return _Point(x, own, predicted, residuals, squares, value)
+        return _Point(x, own, predicted, residuals, squares, value if np.all(np.isfinite(squares)) else np.inf)
 
     def column(self, here: _Point, k: int) -> list[np.ndarray]:
         """Derivatives of the scaled predictions by one parameter or nuisance, per run; 0 where none is simulated.
@@ -356,26 +333,26 @@ class _Descent:
                 return [(y - y0) * s / step for y, y0, s in zip(moved, here.predicted, self.scale, strict=True)]
         return [np.zeros_like(y) for y in here.predicted]
 
-    def jacobian(self, here: _Point, only: slice | None = None) -> list[np.ndarray]:
-        """Per run (p + c, b, n); a motor's place in a gap moves its own run alone."""
+    def jacobian(self, here: _Point, known: list[np.ndarray] | None = None) -> list[np.ndarray]:
+        """Per run (p + c, b, n); those by constants and nuisances are taken from ``known``, if there is one.
+
+        A motor's place in a gap moves its own run alone.
+        """
         p, places = self.space.size, self.space.parts["places"]
         size = p + len(self.data.free)
-        wanted = range(size) if only is None else range(*only.indices(p))
-        shared = [k for k in wanted if not places.start <= k < places.stop]
+        rows = [np.zeros((size, *y.shape)) for y in here.predicted] if known is None else [j.copy() for j in known]
+        shared = [k for k in (range(size) if known is None else range(len(self.space.paths), p))
+                  if not places.start <= k < places.stop]
+        for k, column in zip(shared, (self.predictor.pool.map if self.parallel else map)(
+                lambda k: self.column(here, k), shared), strict=True):
+            for row, changes in zip(rows, column, strict=True):
+                row[k] = changes
         if self.space.gap_places:
-            moved = _Point(here.x.copy(), here.own, here.predicted, here.residuals, here.squares, 0.0)
-        found = dict(zip(shared, (self.predictor.pool.map if self.parallel else map)(
-            lambda k: self.column(here, k), shared), strict=True))
-        if self.space.gap_places:
-            moved.x[places] += PLACE_STEP
-            outputs = self.predictor.runs(self.space, moved.x, here.own)
-            changes = [(y - y0) * s / PLACE_STEP for y, y0, s in zip(outputs, here.predicted, self.scale, strict=True)]
-        rows = []
-        for r, y in enumerate(here.predicted):
-            out = np.zeros((size, *y.shape))
-            for k in wanted:
-                out[k] = found[k][r] if k in found else changes[r] if k - places.start == r else 0.0
-            rows.append(out)
+            x = here.x.copy()
+            x[places] += PLACE_STEP
+            for r, y in enumerate(self.predictor.runs(self.space, x, here.own)):
+                rows[r][places] = 0.0
+                rows[r][places.start + r] = (y - here.predicted[r]) * self.scale[r] / PLACE_STEP
         return rows
 
     def normal(self, here: _Point, jac: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
@@ -410,15 +387,13 @@ class _Descent:
 
     def information(self, here: _Point, jac: list[np.ndarray]) -> Information:
         """Sums over the stretches."""
-        data, stretches = self.data, len(self.data.segment_run)
-        size, blocks = len(jac[0]), jac[0].shape[1]
+        data, stretches, (size, blocks, _) = self.data, len(self.data.segment_run), jac[0].shape
         squares, counts = np.zeros((stretches, blocks)), np.zeros((stretches, blocks))
         normal, gradient = np.zeros((stretches, blocks, size, size)), np.zeros((stretches, blocks, size))
         for r, (j, e) in enumerate(zip(jac, here.residuals, strict=True)):
             share = self.predictor.share(r)
-            edges = np.flatnonzero(np.diff(data.segment[r], prepend=-1))
-            for s, (begin, end) in zip(data.segment[r][edges], zip(edges, [*edges[1:], len(data.segment[r])],
-                                                                   strict=True), strict=True):
+            for s in np.unique(data.segment[r]):
+                begin, end = np.searchsorted(data.segment[r], (s, s + 1))
                 part = np.ascontiguousarray(j[:, :, begin:end].transpose(1, 0, 2))
                 squares[s], counts[s] = np.sum(e[:, begin:end] ** 2, axis=1), share[:, begin:end].sum(axis=1)
                 normal[s] = part @ part.transpose(0, 2, 1)
@@ -443,9 +418,8 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
     """Minimise the objective from ``x``; ``tolerance`` is the fall of it that ends the fit; ``to_the_end`` only if no
     more is expected, and with derivatives of where it ended.
 
-    Expected is what a step without damping would win of the objective's quadratic (the squared Newton decrement: Boyd
-    and Vandenberghe, Convex Optimization, 2004, section 9.5): in a long valley a damped step wins next to
-    nothing wherever it is.
+    Expected is the squared Newton decrement (Boyd and Vandenberghe, Convex Optimization, 2004, section 9.5): in a long
+    valley a damped step wins next to nothing wherever it is.
 
     ``runs`` (runs): weights, of which 0 leaves a run out; then the prior alone moves what it has of its own.
     ``jacobian`` (per run (p + c, b, n)) starts the quick way; where it leads no further the derivatives are computed
@@ -457,21 +431,14 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
     here = descent.at(x, data.own if own is None else own)
     if not np.isfinite(here.objective):
         raise ArithmeticError("the fit's start does not simulate")
-    fresh = jacobian is None
-    if jacobian is None:
-        jac = descent.jacobian(here)
-    else:
-        jac = [j.copy() for j in jacobian]
-        for j, new in zip(jac, descent.jacobian(here, slice(len(space.paths), space.size)), strict=True):
-            j[len(space.paths): space.size] = new[len(space.paths): space.size]
-    metric = np.diag(space.precision)
+    jac, fresh = descent.jacobian(here, jacobian), jacobian is None
     damping = 0.0
     for _ in range(iterations):
         matrix, force, back = descent.normal(here, jac)
         damping = damping or first * float(np.max(np.diag(matrix) / space.precision))
         found = None
         for _ in range(TRIES if fresh else 3):
-            trial = descent.step(here, matrix + damping * metric, force, back)
+            trial = descent.step(here, matrix + np.diag(damping * space.precision), force, back)
             if trial is not None and trial.objective < here.objective:
                 found = trial
                 break
@@ -493,9 +460,9 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
         jac, fresh, renewals = descent.jacobian(here), True, renewals - 1
     if to_the_end and not fresh:
         jac = descent.jacobian(here)
-    return Fit(space, here.x, here.own, descent.away(here.own), here.objective, here.squares, descent.counts,
-               here.residuals, here.predicted, jac, descent.information(here, jac), weighing, descent.nuisance,
-               data.segment_run)
+    return Fit(**vars(here), space=space, away=descent.away(here.own), counts=descent.counts, jacobian=jac,
+               information=descent.information(here, jac), weighing=weighing, nuisance=descent.nuisance,
+               owner=data.segment_run)
 
 
 def _broyden(jac: list[np.ndarray], old: _Point, new: _Point, descent: _Descent) -> None:

@@ -76,7 +76,7 @@ class Weighing:
 
 def rho(ratio: np.ndarray) -> np.ndarray:
     """The cost of a mean square in units of the noise's."""
-    return np.where(ratio <= 1.0, ratio, 1.0 + np.log(np.maximum(ratio, 1.0)))
+    return np.minimum(ratio, 1.0) + np.log(np.maximum(ratio, 1.0))
 
 
 def cost(squares: np.ndarray, counts: np.ndarray, independent: np.ndarray) -> float:
@@ -164,17 +164,14 @@ def temperatures(curvatures: np.ndarray, slopes: np.ndarray, prior: np.ndarray) 
     for _ in range(TEMPERATURES):
         curvature = np.tensordot(1.0 / kinds, curvatures, 1)
         spread = np.linalg.inv(curvature / whole + np.diag(prior))
-        kinds = np.maximum(_over(np.einsum("ij,sbi,sbj->b", spread, slopes, slopes),
-                                 np.einsum("ij,bij->b", spread, curvatures)), 1.0)
+        kinds = np.maximum(np.einsum("ij,sbi,sbj->b", spread, slopes, slopes)
+                           / np.maximum(np.einsum("ij,bij->b", spread, curvatures), 1e-300), 1.0)
         total = np.tensordot(slopes, 1.0 / kinds, (1, 0))
         curvature = np.tensordot(1.0 / kinds, curvatures, 1)
         spread = np.linalg.inv(curvature / whole + np.diag(prior))
-        whole = max(float(_over(np.einsum("ij,si,sj->", spread, total, total), np.sum(spread * curvature))), 1.0)
+        whole = max(float(np.einsum("ij,si,sj->", spread, total, total)
+                          / np.maximum(np.sum(spread * curvature), 1e-300)), 1.0)
     return kinds, whole
-
-
-def _over(scatter: np.ndarray, curvature: np.ndarray) -> np.ndarray:
-    return np.asarray(scatter) / np.maximum(curvature, 1e-300)
 
 
 def nuisance_precision(data: Dataset, differ: tuple[float, float]) -> np.ndarray:

@@ -48,39 +48,31 @@ def noise_sigmas(runs: list[Run]) -> tuple[float, float, int]:
     """Standard deviations before rounding (encoder, accelerometer), counts, and the rows that they rest on.
 
     Pooled over the runs' rests, rows that were logged alone; without any, the accelerometer's is a default and the rows
-    are 1.
-
-    The variance at rest holds rounding's own q^2/12 where the reading moves at all; that part is taken off.
+    are 1.  Rounding's own variance q^2/12, which a reading that moves at all holds, is taken off.
     """
-    sums = {"encoder": 0.0, "accel": 0.0}
-    freedom = {"encoder": 0, "accel": 0}
-    for run in runs:
-        resting = np.flatnonzero(run.logged[: rest_rows(run)])
-        if resting.size < 10:
-            continue
-        for channel in sums:
-            values = getattr(run, channel)
-            if values is not None:
-                part = values[resting] - np.mean(values[resting])
-                sums[channel] += float(part @ part)
-                freedom[channel] += resting.size - 1
-    encoder = sums["encoder"] / freedom["encoder"] if freedom["encoder"] else 0.0
-    if freedom["accel"]:
-        accel = sums["accel"] / freedom["accel"]
-    else:
-        accel = ACCEL_DEFAULT**2 + QUANTISATION
-    rows = max(freedom["accel"] or freedom["encoder"], 1)
-    return float(np.sqrt(max(encoder - QUANTISATION, 0.0))), float(np.sqrt(max(accel - QUANTISATION, 0.0))), rows
+    rests = [(run, np.flatnonzero(run.logged[: rest_rows(run)])) for run in runs]
+
+    def pooled(channel: str) -> tuple[float, int]:
+        parts = [getattr(run, channel)[rest] for run, rest in rests
+                 if rest.size >= 10 and getattr(run, channel) is not None]
+        centred = [part - np.mean(part) for part in parts]
+        return sum(float(part @ part) for part in centred), sum(part.size - 1 for part in centred)
+
+    (encoder, encoder_rows), (accel, accel_rows) = pooled("encoder"), pooled("accel")
+    variances = (encoder / encoder_rows if encoder_rows else 0.0,
+                 accel / accel_rows if accel_rows else ACCEL_DEFAULT**2 + QUANTISATION)
+    sigmas = [float(np.sqrt(max(variance - QUANTISATION, 0.0))) for variance in variances]
+    return sigmas[0], sigmas[1], max(accel_rows or encoder_rows, 1)
 
 
-def correlation_time(values: np.ndarray, longest: int = 50) -> float:
-    """Integrated autocorrelation time, samples, at least 1."""
+def correlation_time(values: np.ndarray) -> float:
+    """Integrated autocorrelation time over at most 50 lags, samples, at least 1."""
     centred = values - values.mean()
     power = float(centred @ centred)
     if power <= 0.0:
         return 1.0
     total = 1.0
-    for lag in range(1, min(longest, len(values) - 1)):
+    for lag in range(1, min(50, len(values) - 1)):
         rho = float(centred[lag:] @ centred[:-lag]) / power
         if rho <= 0.0:
             break

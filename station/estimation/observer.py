@@ -17,7 +17,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -67,16 +67,16 @@ class Observer:
 
     def near(self, model: Model) -> Observer:
         """The same, quicker to work out for rigs like this one."""
-        found = None if math.isinf(self.horizon) else _design(self, model)[1]
+        found = _design(self, _Linear(id(model.form), model))[1]
         return self if found is None else replace(self, log_size=found[0], slope=found[1])
 
     def correction(self, model: Model) -> Correction:
         """What one count of error changes in a rig's simulation, the same for all its runs; not finite where a rig has
         no such observer.
 
-        An encoder that is late shows what was to be corrected then: it is
-        carried forward to now, by the rig without its effects, and so are the readings that have not been shown.  Or a
-        late encoder would be a worse observer than a late command that does the same.
+        An encoder that is late shows what was to be corrected then: it is carried forward to now, by the rig without
+        its effects, and so are the readings that have not been shown.  Or a late encoder would be a worse observer than
+        a late command that does the same.
         """
         return _correction(self, model)
 
@@ -94,17 +94,13 @@ class Correction(NamedTuple):
     """(m) rad, angles that the encoder has yet to show: at the present instant, a step before, and so on."""
 
 
+@dataclass(frozen=True)
 class _Linear:
     """A model as its linear part sees it: equal where that is."""
 
-    def __init__(self, model: Model) -> None:
-        self.model = model
-
-    def __hash__(self) -> int:
-        return id(self.model.form)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Linear) and other.model.form is self.model.form
+    form: int
+    """Its identity, which is no other's while the model is kept."""
+    model: Model = field(compare=False)
 
 
 class _Filter(NamedTuple):
@@ -125,7 +121,7 @@ class _Filter(NamedTuple):
 
 @functools.lru_cache(maxsize=64)
 def _correction(observer: Observer, model: Model) -> Correction:
-    at_once = _gains(observer, _Linear(model))
+    at_once = _design(observer, _Linear(id(model.form), model))[0]
     plan, form, period, decay = model.plan, model.form, _period(model), at_once.decay
     if plan.encoder_delay == 0.0 or at_once.torque == 0.0:
         return at_once
@@ -148,22 +144,18 @@ def _correction(observer: Observer, model: Model) -> Correction:
 
 
 @functools.lru_cache(maxsize=128)
-def _gains(observer: Observer, linear: _Linear) -> Correction:
-    if math.isinf(observer.horizon):
-        return Correction(np.zeros(2 * linear.model.form.blocks), 0.0, 0.0, np.zeros(0))
-    return _design(observer, linear.model)[0]
-
-
-def _design(observer: Observer, model: Model) -> tuple[Correction, tuple[float, float] | None]:
+def _design(observer: Observer, linear: _Linear) -> tuple[Correction, tuple[float, float] | None]:
     """A rig's correction, and (log size, slope) there, None where there is none."""
-    form, horizon = model.form, observer.horizon
+    model, form, horizon = linear.model, linear.model.form, observer.horizon
+    state = np.zeros(2 * form.blocks)
+    if math.isinf(horizon):
+        return Correction(state, 0.0, 0.0, np.zeros(0)), None
     slowest = np.sort(np.argsort(_speeds(form), kind="stable")[: observer.blocks])
     system, kept = _filter(model, horizon, slowest), form.columns(slowest)
     try:
-        gain, log_size, slope = _designed(*system, observer.variance, horizon, observer.log_size, observer.slope)
+        gain, log_size, slope = _designed(system, observer.variance, horizon, observer.log_size, observer.slope)
     except np.linalg.LinAlgError:
         gain, log_size, slope = np.full(len(kept) + 1, np.nan), math.nan, math.nan
-    state = np.zeros(2 * form.blocks)
     state[kept] = gain[:-1]
     found = Correction(state, float(gain[-1]), system.decay, np.zeros(0))
     return found, (float(log_size), float(slope)) if np.isfinite(gain).all() else None
@@ -214,8 +206,8 @@ def _observer(linear: str, variance: float, horizon: float) -> Observer:
     low, high = (math.log(s) for s in SIZES)
     for _ in range(ROUNDS):
         middle = 0.5 * (low + high)
-        gain = _gain(*system[:3], system.decay, variance, middle, _doublings(horizon, system.period))
-        low, high = (middle, high) if _excess(*system, variance, horizon, gain) > 0.0 else (low, middle)
+        gain = _gain(system, variance, middle, _doublings(horizon, system.period))
+        low, high = (middle, high) if _excess(system, horizon, gain) > 0.0 else (low, middle)
     return Observer(horizon, variance, blocks, high).near(model)
 
 
@@ -226,9 +218,10 @@ def _doublings(horizon, period):
 
 
 @njit(cache=True, nogil=True)
-def _gain(f, h, enters, decay, variance, log_size, doublings):
+def _gain(system, variance, log_size, doublings):
     """(s) gain of the filter, its covariance by the doubling algorithm (Anderson and Moore, Optimal Filtering, 1979,
     section 6.7)."""
+    f, h, enters, _, decay, _ = system
     a, g, eye = f.T.copy(), np.outer(h, h) / variance, np.eye(h.size)
     p = math.exp(2.0 * log_size) * (1.0 - decay**2) * np.outer(enters, enters)
     for _ in range(doublings):
@@ -243,8 +236,9 @@ def _gain(f, h, enters, decay, variance, log_size, doublings):
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
-def _excess(f, h, enters, first, decay, period, variance, horizon, gain):
+def _excess(system, horizon, gain):
     """Logarithm of the time integral of what a unit error of the angle leaves, over the horizon."""
+    f, h, _, first, _, period = system
     size, total, error, moved, through = h.size, 0.0, first.copy(), np.empty(h.size), np.dot(f, gain)
     for _ in range(math.ceil(LASTS * horizon / period)):
         shown = 0.0
@@ -260,17 +254,17 @@ def _excess(f, h, enters, first, decay, period, variance, horizon, gain):
 
 
 @njit(cache=True, nogil=True)
-def _designed(f, h, enters, first, decay, period, variance, horizon, log_size, slope):
+def _designed(system, variance, horizon, log_size, slope):
     """(s) gain whose memory is the horizon, the logarithm of the torque's size, and the slope there."""
-    before, doublings = log_size, _doublings(horizon, period)
-    gain = _gain(f, h, enters, decay, variance, before, doublings)
-    missed = _excess(f, h, enters, first, decay, period, variance, horizon, gain)
+    before, doublings = log_size, _doublings(horizon, system.period)
+    gain = _gain(system, variance, before, doublings)
+    missed = _excess(system, horizon, gain)
     for _ in range(STEPS):
         here = before - min(max(missed / slope, -LONGEST), LONGEST)
-        gain = _gain(f, h, enters, decay, variance, here, doublings)
+        gain = _gain(system, variance, here, doublings)
         if abs(missed) < NEAR:
             return gain, here, slope
-        now = _excess(f, h, enters, first, decay, period, variance, horizon, gain)
+        now = _excess(system, horizon, gain)
         slope = min((now - missed) / (here - before), -0.05)
         before, missed = here, now
     return gain, before, slope

@@ -10,6 +10,7 @@ import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 
@@ -133,12 +134,10 @@ class Parameters:
     @cached_property
     def parts(self) -> dict[str, slice]:
         """Where each kind of parameter stands in x."""
-        found, at = {}, 0
-        for name, count in (("constants", self.root.shape[1]), ("effects", len(self.coordinates)),
-                            ("zeros", self.zeros), ("held", len(self.held)), ("places", self.gap_places)):
-            found[name] = slice(at, at + count)
-            at += count
-        return found
+        counts = {"constants": self.root.shape[1], "effects": len(self.coordinates), "zeros": self.zeros,
+                  "held": len(self.held), "places": self.gap_places}
+        ends = accumulate(counts.values())
+        return {name: slice(end - counts[name], end) for name, end in zip(counts, ends, strict=True)}
 
     def logs(self, x: np.ndarray) -> np.ndarray:
         """Logarithms of the constants over nominal."""
@@ -169,7 +168,8 @@ class Parameters:
         for held, value in zip(self.held, x[self.parts["held"]], strict=True):
             own[held.effect] = own[held.effect].model_copy(
                 update={held.name: held.nominal * math.exp(held.sigma * value)})
-        effects = [cls.model_construct(None, at=at, **_ordered(self.values(x)[cls.name, at]))
+        values = self.values(x)
+        effects = [cls.model_construct(None, at=at, **_ordered(values[cls.name, at]))
                    for cls, at in self.hypothesis.effects]
         return rig.with_effects((*own, *effects)) if effects or self.held else rig
 
@@ -193,11 +193,10 @@ class Parameters:
         out = self.mean.copy()
         out[self.parts["constants"]] = np.linalg.solve(self.root, other.logs(x))
         sizes = {**other.values(x), **(start or {})}
-        first = self.parts["effects"].start
-        for i, coordinate in enumerate(self.coordinates):
+        for i, coordinate in enumerate(self.coordinates, self.parts["effects"].start):
             cls, at = self.hypothesis.effects[coordinate.effect]
             if coordinate.name in sizes.get((cls.name, at), {}):
-                out[first + i] = coordinate.to_x(sizes[cls.name, at][coordinate.name])
+                out[i] = coordinate.to_x(sizes[cls.name, at][coordinate.name])
         for part in ("zeros", "held", "places"):
             here, there = self.parts[part], other.parts[part]
             if here.stop - here.start == there.stop - there.start:
@@ -206,13 +205,12 @@ class Parameters:
 
     def names(self) -> list[str]:
         """Names in the order of x: ``motor.gain``, ``coulomb_friction@motor.torque``."""
-        found = list(self.paths)
-        for coordinate in self.coordinates:
-            cls, at = self.hypothesis.effects[coordinate.effect]
-            found.append(f"{cls.name}@{at}.{coordinate.name}")
-        found += [f"encoder zero {k + 2}" for k in range(self.zeros)]
-        found += [f"{self.rig.effects[h.effect].name}.{h.name}" for h in self.held]
-        return found + [f"place in the gap, run {k + 1}" for k in range(self.gap_places)]
+        effects = self.hypothesis.effects
+        return [*self.paths,
+                *(f"{cls.name}@{at}.{c.name}" for c in self.coordinates for cls, at in [effects[c.effect]]),
+                *(f"encoder zero {k + 2}" for k in range(self.zeros)),
+                *(f"{self.rig.effects[h.effect].name}.{h.name}" for h in self.held),
+                *(f"place in the gap, run {k + 1}" for k in range(self.gap_places))]
 
 
 def prior_covariance(rig: Rig, paths: Sequence[str]) -> np.ndarray:
@@ -242,12 +240,11 @@ def parameters(data: Dataset, hypothesis: Hypothesis, centres: Sizes, fixed: Col
                                      min(info.high, cls.largest(rig, at).get(name, math.inf)))
             coordinates.append(coordinate)
             if cls.stage is Stage.CLOCK and data.clock is not None:
-                unit = data.clock[0] if coordinate.log else coordinate.scale
-                mean.append(coordinate.to_x(data.clock[0]))
-                precision.append((unit / data.clock[1]) ** 2)
+                value, error = data.clock
+                precision.append(((value if coordinate.log else coordinate.scale) / error) ** 2)
             else:
-                mean.append(coordinate.to_x(value))
                 precision.append((WIDE if coordinate.log else PHASE if info.periodic else PLACE) ** -2)
+            mean.append(coordinate.to_x(value))
     shifted = any(cls.absolute is not None for cls, _ in hypothesis.effects)
     zeros = max(data.zero_group) if shifted else 0
     held = _held(rig)
@@ -271,16 +268,13 @@ def _coordinate(effect: int, name: str, info: ParameterInfo, value: float, usual
     Positive sizes by their logarithm; a size about a neutral value (a ratio about 1, a signed offset about 0) in units
     of its first guess; a place (a rest angle) in units of usual places; phases in rad.
     """
-    neutral = info.neutral
-    if info.positive and not info.periodic and (neutral is None or neutral == 0.0 or math.isinf(neutral)):
-        return Coordinate(effect, name, info, True, 1.0, high)
-    if info.periodic:
-        return Coordinate(effect, name, info, False, 1.0, high)
-    sizes = [abs(u - (neutral or 0.0)) for u in usual]
-    least = min((s for s in sizes if s > 0.0), default=1.0)
-    if neutral is None:
-        return Coordinate(effect, name, info, False, max(abs(value), least), high)
-    return Coordinate(effect, name, info, False, max(abs(value - neutral), 1e-6 * least), high, neutral)
+    neutral, origin, scale = info.neutral, 0.0, 1.0
+    log = info.positive and not info.periodic and (neutral is None or neutral == 0.0 or math.isinf(neutral))
+    if not log and not info.periodic:
+        origin = neutral or 0.0
+        least = min((abs(u - origin) for u in usual if u != origin), default=1.0)
+        scale = max(abs(value - origin), least if neutral is None else 1e-6 * least)
+    return Coordinate(effect, name, info, log, scale, high, origin)
 
 
 def _ordered(values: dict[str, float]) -> dict[str, float]:

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 
@@ -92,12 +91,9 @@ def _restart(fresh, run, state):
         state.effects[i] = effects[run, i]
     for i in range(state.last.size):
         state.last[i] = last[run, i]
-    for i in range(state.torque.size):
-        state.torque[i] = 0.0
-    for i in range(state.commands.size):
-        state.commands[i] = 0.0
-    for i in range(state.clock.size):
-        state.clock[i] = 0
+    state.torque[:] = 0.0
+    state.commands[:] = 0.0
+    state.clock[:] = 0
 
 
 def _predicted(model: Model, used: Sequence[Observer], logs: Logs, starts: Sequence[State], own: np.ndarray,
@@ -106,17 +102,15 @@ def _predicted(model: Model, used: Sequence[Observer], logs: Logs, starts: Seque
     after another, counts, unrounded.
 
     ``starts``: every run's state at its first row; the first is used up.  ``own`` (runs, 4) as ``Dataset.own`` has it;
-    ``accel_at`` (h): the block that holds the accelerometer as a horizon
-    predicts it, -1 for none.
+    ``accel_at`` (h): the block that holds the accelerometer as a horizon predicts it, -1 for none.
     """
     out: np.ndarray = np.empty(blocks * logs.command.size)
-    fresh = (np.array([s.z for s in starts]), np.array([s.effects for s in starts]), np.array([s.last for s in starts]))
-    corrections = [o.correction(model) for o in used]
-    late = np.zeros((len(used), max(c.late.size for c in corrections)))
-    for row, correction in zip(late, corrections, strict=True):
-        row[: correction.late.size] = correction.late
-    _predict(model.plan, fresh, starts[0], np.array([c.state for c in corrections]),
-             np.array([c.torque for c in corrections]), late, np.array([c.decay for c in corrections]),
+    fresh = tuple(np.array(rows) for rows in zip(*((s.z, s.effects, s.last) for s in starts), strict=True))
+    states, torques, decays, angles = zip(*(o.correction(model) for o in used), strict=True)
+    late = np.zeros((len(used), max(a.size for a in angles)))
+    for row, angle in zip(late, angles, strict=True):
+        row[: angle.size] = angle
+    _predict(model.plan, fresh, starts[0], np.array(states), np.array(torques), late, np.array(decays),
              SPAN / model.rig.angle_per_count, logs, np.ascontiguousarray(own), accel_at, out, disturbance,
              np.zeros((4, max(model.plan.port_joint.size, 1))))
     return out
@@ -175,12 +169,7 @@ class Predictor:
     @cached_property
     def channel(self) -> np.ndarray:
         """(b) the channel of every block."""
-        return np.array([0] * len(self.observers) + [1] * self._accelerometers, dtype=int)
-
-    @property
-    def _accelerometers(self) -> int:
-        """How many blocks are the accelerometer's."""
-        return self.data.channels - 1 if self.observers else 0
+        return np.array([0] * len(self.observers) + [1] * (self.data.has_accel and bool(self.observers)), dtype=int)
 
     @cached_property
     def counts(self) -> np.ndarray:
@@ -205,10 +194,7 @@ class Predictor:
         return self.data.share[run][self.channel]
 
     def scale(self, run: int) -> np.ndarray:
-        """(b, n) what makes one run's errors count alike, 1/counts.
-
-        The square root of the independent errors per sample over the noise's variance.
-        """
+        """(b, n) what makes one run's errors count alike: root of the errors per sample over their sigma, 1/counts."""
         return (np.sqrt(self.data.share[run]) / self.data.sigma[:, None])[self.channel]
 
     def independent(self, squares: np.ndarray, residuals: list[np.ndarray]) -> np.ndarray:
@@ -223,20 +209,19 @@ class Predictor:
     def some(self, model: Model, space: Parameters, x: np.ndarray, runs: Sequence[int], own: np.ndarray,
              ) -> list[np.ndarray]:
         """Predictions (b, n) of one run, or of all, counts; ``own`` (runs, 4) as ``Dataset.own`` has it."""
-        data, count, start = self.data, len(self.observers), own[:, 0].tolist()
+        data, count = self.data, len(self.observers)
         if not count:
             return [np.zeros((0, len(data.runs[r]))) for r in runs]
         logs = data.logs if len(runs) == len(data.runs) else data.log[runs[0]]
         zeros = [space.zero(x, data.zero_group[r]) for r in runs]
         starts = [initial_state(model, angle_that_reads(model.rig, angle, zero), zero, gap_place=space.place(x, r),
                                 equilibrium=data.runs[r].metadata.start == "equilibrium")
-                  for r, angle, zero in zip(runs, start, zeros, strict=True)]
+                  for r, angle, zero in zip(runs, own[:, 0].tolist(), zeros, strict=True)]
         blocks, accel_at = len(self.channel), np.full(count, -1)
-        accel_at[-1] = count if self._accelerometers else -1
+        accel_at[-1] = count if blocks > count else -1
         finder = data.finder if any(data.warm) else self.observers[0]
         out = _predicted(model, [*self.observers, finder], logs, starts, own, accel_at, blocks, np.zeros(0))
-        edges = (blocks * logs.first).tolist()
-        return [out[begin:end].reshape(blocks, -1) for begin, end in pairwise(edges)]
+        return [rows.reshape(blocks, -1) for rows in np.split(out, blocks * logs.first[1:-1])]
 
     def run(self, model: Model, space: Parameters, x: np.ndarray, run: int, own: np.ndarray) -> np.ndarray:
         """One run's predictions (b, n), counts; ``own`` (4) as ``Dataset.own`` has it."""

@@ -70,21 +70,20 @@ def spectra(run: Run, channels: int) -> list[Spectrum | None]:
     except WorkError:
         return [None] * channels
     segments = max(1.0, len(run.t) / (run.sample_rate / found.frequency[0]))
-    return [_spectrum(run, found.frequency, sensor, getattr(found, sensor), getattr(found, f"{sensor}_coherence"),
-                      segments) for sensor in ("encoder", "accel")[:channels]]
 
+    def coherent(sensor: str) -> Spectrum | None:
+        value, coherence = getattr(found, sensor), getattr(found, f"{sensor}_coherence")
+        if value is None or coherence is None:
+            return None
+        kept = (coherence > COHERENT) & (found.frequency < PASSED * run.sample_rate * np.mean(run.logged))
+        if kept.sum() < FEWEST:
+            return None
+        # Bendat and Piersol, Random Data, ch. 9: the relative standard error of |H1| and of its phase.
+        error = np.sqrt((1.0 - coherence[kept]) / (2.0 * segments * coherence[kept]) + FLOOR**2)
+        rows = np.linspace(0, len(run.t) - 1, int(kept.sum())).round().astype(int)
+        return Spectrum(sensor, found.frequency[kept], value[kept], error, rows)
 
-def _spectrum(run: Run, frequency: np.ndarray, sensor: str, value: np.ndarray | None, coherence: np.ndarray | None,
-              segments: float) -> Spectrum | None:
-    if value is None or coherence is None:
-        return None
-    kept = (coherence > COHERENT) & (frequency < PASSED * run.sample_rate * np.mean(run.logged))
-    if kept.sum() < FEWEST:
-        return None
-    # Bendat and Piersol, Random Data, ch. 9: the relative standard error of |H1| and of its phase.
-    error = np.sqrt((1.0 - coherence[kept]) / (2.0 * segments * coherence[kept]) + FLOOR**2)
-    rows = np.linspace(0, len(run.t) - 1, int(kept.sum())).round().astype(int)
-    return Spectrum(sensor, frequency[kept], value[kept], error, rows)
+    return [coherent(sensor) for sensor in ("encoder", "accel")[:channels]]
 
 
 @dataclass(frozen=True, eq=False)

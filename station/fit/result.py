@@ -71,8 +71,8 @@ class FitResult:
         lines += [f"warning: {text}" for text in self.warnings]
         return "\n".join(lines)
 
-    def correlated(self, least: float = 0.9) -> list[tuple[str, str, float]]:
-        """Pairs of constants whose correlation is at least ``least`` either way, the strongest first."""
+    def correlated(self) -> list[tuple[str, str, float]]:
+        """Pairs of constants whose correlation is at least 0.9 either way, the strongest first."""
         pairs = [(self.constants[j].path, self.constants[i].path, float(self.correlation[i, j]))
                  for i in range(len(self.constants)) for j in range(i)]
-        return sorted((p for p in pairs if abs(p[2]) >= least), key=lambda p: -abs(p[2]))
+        return sorted((p for p in pairs if abs(p[2]) >= 0.9), key=lambda p: -abs(p[2]))

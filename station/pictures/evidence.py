@@ -48,21 +48,14 @@ class Evidence:
     law_x: np.ndarray | None = None
     law_y: np.ndarray | None = None
     note: str = ""
-
-
-@dataclass(frozen=True)
-class Contrast(Evidence):
-    """A picture that shows the rig without the cause as well, at the places of the law."""
-
     without_y: np.ndarray | None = None
+    """The rig without the cause, at the places of the law, where the picture shows both."""
 
 
 class _Cause(NamedTuple):
-    """A cause, the extended rig that holds it, the same rig without it, and the runs."""
+    """A cause's title, the extended rig that holds it, the same rig without it, and the runs."""
 
     title: str
-    effect: Effect | None
-    at: str
     extended: Rig
     without: Rig
     runs: list[Run]
@@ -76,103 +69,89 @@ def evidence(rig: Rig, extended_rig: Rig, runs: Sequence[Run], causes: Sequence[
     passed over.  Without causes the whole sceptic's view is given: the torque that is missing at the motor against
     time, speed, angle, command, load and frequency.  ``pool``: threads over which the runs are spread.
     """
-    runs, found = list(runs), []
-    for name, at in causes:
-        cause = _cause(rig, extended_rig, runs, name, at)
-        if cause is not None:
-            found += _pictures(cause)
+    found = [picture for name, at in causes for picture in _pictures(rig, extended_rig, list(runs), name, at)]
     torques = list((pool.map if pool else map)(lambda run: missing_torque(rig, run), runs))
-    pairs = list(zip(torques, runs, strict=True))
-    worst, run = max(pairs, key=lambda pair: float(np.mean(pair[0].torque ** 2)), default=(None, None))
-    if worst is not None and run is not None:
-        found += sceptics_view(worst, run, "motor")[: 1 if found else None]
+    if torques:
+        worst, run = max(zip(torques, runs, strict=True), key=lambda pair: float(np.mean(pair[0].torque ** 2)))
+        found += _sceptics_view(worst, run)[: 1 if found else None]
     return found
 
 
-def sceptics_view(found: MissingTorque, run: Run, at: str) -> list[Evidence]:
+def _sceptics_view(found: MissingTorque, run: Run) -> list[Evidence]:
     """One run's missing torque against time, speed, angle, command, load and frequency, no law assumed."""
-    what, unit, angle, speed = ((f"torque missing at the {at}", "N m", "angle (rad)", "speed (rad/s)") if at != "tip"
-                                else ("force missing at the tip", "N", "position (m)", "speed (m/s)"))
-    upper = what[0].upper() + what[1:]
-    note = (f"Run {run.name}. Nothing is assumed but the rig without any cause: the {what} is a random walk, smoothed "
-            f"from command, encoder and accelerometer; its standard deviation is {np.median(found.sigma):.2g} {unit}. "
-            "Jumps are rounded by the smoothing; what is wrong elsewhere in the rig shows here too.")
+    note = (f"Run {run.name}. Nothing is assumed but the rig without any cause: the torque missing at the motor is a "
+            "random walk, smoothed from command, encoder and accelerometer; its standard deviation is "
+            f"{np.median(found.sigma):.2g} N m. Jumps are rounded by the smoothing; what is wrong elsewhere in the rig "
+            "shows here too.")
     if found.mistrust > 1.0:
         note += (f" No torque there explains the accelerometer, which was taken {found.mistrust:g} times noisier than "
                  "at rest.")
-    views = [_thin(f"{upper}, against time", "time", "time (s)", f"{what} ({unit})", found.t, found.torque, note=note)]
-    for kind, label, x in (("speed", f"{at} {speed}", found.speed), ("angle", f"{at} {angle}", found.angle),
-                           ("command", "command (counts)", found.command),
-                           ("load", "load on the gears (N m)", found.load)):
-        views.append(_thin(f"{upper}, against {kind}", kind, label, f"{what} ({unit})", x, found.torque, note=note))
+    what = "Torque missing at the motor, against", "torque missing at the motor"
+    views = [_thin(f"{what[0]} {kind}", kind, label, f"{what[1]} (N m)", x, found.torque, note=note)
+             for kind, label, x in (("time", "time (s)", found.t), ("speed", "motor speed (rad/s)", found.speed),
+                                    ("angle", "motor angle (rad)", found.angle),
+                                    ("command", "command (counts)", found.command),
+                                    ("load", "load on the gears (N m)", found.load))]
     rate = 1.0 / (found.t[1] - found.t[0])
     frequency, density = signal.welch(found.torque, rate, nperseg=min(512, len(found.t)))
     shown = (frequency > 0.0) & (frequency < 0.25 * rate)
-    views.append(_thin(f"{upper}, against frequency", "spectrum", "frequency (Hz)", f"{what} ({unit}/√Hz)",
-                       frequency[shown], np.sqrt(density[shown]), note=note))
-    return views
+    return [*views, _thin(f"{what[0]} frequency", "spectrum", "frequency (Hz)", f"{what[1]} (N m/√Hz)",
+                          frequency[shown], np.sqrt(density[shown]), note=note)]
 
 
-def _cause(rig: Rig, extended: Rig, runs: list[Run], name: str, at: str) -> _Cause | None:
+def _pictures(rig: Rig, extended: Rig, runs: list[Run], name: str, at: str) -> list[Evidence]:
+    """Of one cause: chosen by the effect's own ``picture`` and by the stage at which it acts."""
     if name.startswith("parameter:"):
         path = name.removeprefix("parameter:")
         if path not in rig.constants() or path not in extended.constants():
-            return None
-        return _Cause(f"wrong {path}", None, at, extended, extended.with_constants({path: rig.constants()[path]}), runs)
-    held = [e for e in extended.effects if (e.name, e.at) == (name, at)]
-    if not held:
-        return None
-    rest = [e for e in extended.effects if e is not held[0]]
-    if held[0].absolute is not None:
-        runs = [r for i, r in enumerate(runs) if i == 0 or r.metadata.zero_id and r.metadata.zero_id
-                == runs[0].metadata.zero_id]
-    title = catalogue()[name].title or name if name in catalogue() else name
-    return _Cause(title, held[0], at, extended, extended.with_effects(rest), runs)
-
-
-def _pictures(cause: _Cause) -> list[Evidence]:
-    """Choose by the effect's own ``picture`` and by the stage at which it acts."""
-    effect = cause.effect
+            return []
+        without = extended.with_constants({path: rig.constants()[path]})
+        return _modes(_Cause(f"wrong {path}", extended, without, runs))
+    effect = next((e for e in extended.effects if (e.name, e.at) == (name, at)), None)
     if effect is None:
-        return _modes(cause)
-    torque = effect.stage in (Stage.TORQUE, Stage.FRICTION)
+        return []
+    if effect.absolute is not None:
+        zero = runs[0].metadata.zero_id
+        runs = runs[:1] + [r for r in runs[1:] if zero and r.metadata.zero_id == zero]
+    title = catalogue()[name].title or name if name in catalogue() else name
+    cause = _Cause(title, extended, extended.with_effects([e for e in extended.effects if e is not effect]), runs)
     if effect.stage is Stage.CLOCK:
-        return _clock(cause) + _frequency(cause, ("gain",))
+        return _clock(cause) + _frequency(cause, effect, ("gain",))
     if effect.stage in _DELAYS or effect.picture == "frequency" and effect.stage is Stage.COMMAND:
-        return _frequency(cause, ("phase",))
+        return _frequency(cause, effect, ("phase",))
     if effect.stage is Stage.ACCEL_FILTER:
-        return _frequency(cause, ("gain", "phase"))
+        return _frequency(cause, effect, ("gain", "phase"))
     if effect.stage is Stage.ACCEL_INPUT:
-        return _centripetal(cause)
+        return _centripetal(cause, effect)
     if effect.stage is Stage.ACCEL_COUNTS:
-        return _readings(cause)
+        return _readings(cause, effect)
     if effect.stage is Stage.ENCODER:
-        return _eccentricity(cause)
+        return _eccentricity(cause, effect)
     if effect.stage in (Stage.GAP, Stage.SPRING):
-        return _joint(cause)
+        return _joint(cause, effect)
     if effect.stage is Stage.COMMAND:
         return _command(cause)
-    if by_load(cause.extended, effect):
-        return _load(cause)
-    if torque and effect.picture in ("speed", "angle"):
-        return _torque(cause)
-    return _torque_in_time(cause)
+    if by_load(extended, effect):
+        return _load(cause, effect)
+    if effect.stage in (Stage.TORQUE, Stage.FRICTION) and effect.picture in ("speed", "angle"):
+        return _torque(cause, effect)
+    return _torque_in_time(cause, effect)
 
 
 def _thin(title: str, kind: str, xlabel: str, ylabel: str, x: np.ndarray, y: np.ndarray,
           law: tuple[np.ndarray, np.ndarray] | None = None, note: str = "") -> Evidence:
     """A picture of at most POINTS points."""
     every = slice(None, None, max(-(-len(x) // POINTS), 1))
-    return Evidence(title, kind, xlabel, ylabel, np.asarray(x)[every], np.asarray(y)[every],
-                    None if law is None else law[0], None if law is None else law[1], note)
+    law_x, law_y = law or (None, None)
+    return Evidence(title, kind, xlabel, ylabel, x[every], y[every], law_x, law_y, note)
 
 
-def _estimates(cause: _Cause, at: str, accelerometer: bool = True) -> list[MissingTorque]:
+def _estimates(cause: _Cause, at: str) -> list[MissingTorque]:
     """Of every run; by the encoder alone where no torque at this place explains the accelerometer of some run.
 
     Else the beam that the model has wrong would be made up for by torque, and that would bury the law.
     """
-    found = [missing_torque(cause.without, run, at, accelerometer=accelerometer) for run in cause.runs]
+    found = [missing_torque(cause.without, run, at) for run in cause.runs]
     if all(m.mistrust == 1.0 for m in found):
         return found
     return [missing_torque(cause.without, run, at, accelerometer=False) for run in cause.runs]
@@ -182,12 +161,12 @@ def _joined(found: Sequence[MissingTorque], pick: Callable[[MissingTorque], np.n
     return np.concatenate([pick(m) for m in found])
 
 
-def _torque_note(cause: _Cause, found: Sequence[MissingTorque]) -> str:
+def _torque_note(cause: _Cause, found: Sequence[MissingTorque], line: str = "Line: the fitted law.") -> str:
     alone = ("" if cause.extended.accelerometer is None or any(m.by_accel for m in found) else
              ", by command and encoder alone,")
     return (f"Points: torque smoothed from {_count(cause.runs)}{alone} against the extended rig without this effect, "
             f"its shape not assumed; standard deviation {np.median(_joined(found, lambda m: m.sigma)):.2g} N m, jumps "
-            "rounded. Line: the fitted law.")
+            f"rounded. {line}")
 
 
 def _count(runs: Sequence[Run]) -> str:
@@ -202,10 +181,8 @@ def _grid(x: np.ndarray) -> np.ndarray:
     return np.sort(np.concatenate([grid, [-tiny, tiny]])) if low < 0.0 < high else grid
 
 
-def _torque(cause: _Cause) -> list[Evidence]:
+def _torque(cause: _Cause, effect: Effect) -> list[Evidence]:
     """Missing torque at a part against its speed or angle."""
-    effect = cause.effect
-    assert effect is not None
     found = _estimates(cause, effect.at)
     by_speed = effect.picture == "speed"
     x = _joined(found, lambda m: m.speed if by_speed else m.angle)
@@ -222,26 +199,22 @@ def _torque(cause: _Cause) -> list[Evidence]:
                   _torque_note(cause, found) + rest)]
 
 
-def _torque_in_time(cause: _Cause) -> list[Evidence]:
+def _torque_in_time(cause: _Cause, effect: Effect) -> list[Evidence]:
     """Missing torque at the effect's part against time, where the effect names no better picture."""
-    at = cause.at if cause.at in ("motor", "base", "drive", "clamp") else "motor"
-    effect, found = cause.effect, _estimates(cause, at)
-    assert effect is not None
+    at = effect.at if effect.at in ("motor", "base", "drive", "clamp") else "motor"
+    found = _estimates(cause, at)
     worst = max(found, key=lambda m: float(np.mean(m.torque**2)))
     if effect.stage is Stage.FRICTION:
         law = -np.sign(worst.speed) * law_values(cause.extended, effect, np.abs(worst.speed), 0.0, np.abs(worst.load))
     else:
         law = law_values(cause.extended, effect, worst.angle, worst.speed)
-    note = _torque_note(cause, found).replace("Line: the fitted law.",
-                                              "The run that misses most. Line: the fitted law along its motion.")
+    note = _torque_note(cause, found, "The run that misses most. Line: the fitted law along its motion.")
     return [_thin(f"Torque missing at the {at}, against time: {cause.title}", "time", "time (s)",
                   "missing torque (N m)", worst.t, worst.torque, (worst.t, law), note)]
 
 
-def _load(cause: _Cause) -> list[Evidence]:
+def _load(cause: _Cause, effect: Effect) -> list[Evidence]:
     """Friction in proportion to load: what opposes the motor's motion against the load on its gears."""
-    effect = cause.effect
-    assert effect is not None
     found = _estimates(cause, "motor")
     speed, load = _joined(found, lambda m: m.speed), np.abs(_joined(found, lambda m: m.load))
     moving = np.abs(speed) > 0.02 * np.max(np.abs(speed))
@@ -255,13 +228,12 @@ def _load(cause: _Cause) -> list[Evidence]:
                   _torque_note(cause, found) + f" The load is {load_is}; rows at rest are left out.")]
 
 
-def _joint(cause: _Cause) -> list[Evidence]:
+def _joint(cause: _Cause, effect: Effect) -> list[Evidence]:
     """The drive or clamp against its wind-up: a spring by its torque, play by the share of the torque that it carries.
 
     Play is drawn as a share because a damper's torque, which has no place on the axis, may outweigh the spring's.
     """
-    effect, at, h = cause.effect, cause.at, cause.extended.period
-    assert effect is not None
+    at, h = effect.at, cause.extended.period
     found, joint = _estimates(cause, at), getattr(cause.extended, at)
     angle, speed = _joined(found, lambda m: m.angle), _joined(found, lambda m: m.speed)
     total = joint_torque(cause.without, at, angle, speed, h) - _joined(found, lambda m: m.torque)
@@ -311,8 +283,7 @@ def _command(cause: _Cause) -> list[Evidence]:
     return [_thin(f"Command that is missing, against the command: {cause.title}", "command", "command (counts)",
                   "missing torque over motor gain (counts)", command,
                   _joined(found, lambda m: m.torque) / cause.extended.motor.gain, law,
-                  _torque_note(cause, found).replace("Line: the fitted law.",
-                                                     "Line: what the fitted chain adds to the command."))]
+                  _torque_note(cause, found, "Line: what the fitted chain adds to the command."))]
 
 
 def _command_driven(rig: Rig, run: Run) -> Simulation:
@@ -322,10 +293,8 @@ def _command_driven(rig: Rig, run: Run) -> Simulation:
     return simulate_model(build(rig), alone, rounding=False, start_angle=start, accel_offset=offset)
 
 
-def _readings(cause: _Cause) -> list[Evidence]:
+def _readings(cause: _Cause, effect: Effect) -> list[Evidence]:
     """Measured against simulated accelerometer."""
-    effect = cause.effect
-    assert effect is not None
     runs = [run for run in cause.runs if run.accel is not None]
     x = np.concatenate([_command_driven(cause.without, run).accel for run in runs])
     grid = _grid(x)
@@ -337,10 +306,10 @@ def _readings(cause: _Cause) -> list[Evidence]:
                   "effect points would lie on the diagonal.")]
 
 
-def _centripetal(cause: _Cause) -> list[Evidence]:
+def _centripetal(cause: _Cause, effect: Effect) -> list[Evidence]:
     """What the accelerometer reads too much, against the base's speed squared."""
-    effect, rig = cause.effect, cause.extended
-    assert effect is not None and rig.accelerometer is not None and rig.beam is not None
+    rig = cause.extended
+    assert rig.accelerometer is not None and rig.beam is not None
     runs = [run for run in cause.runs if run.accel is not None]
     speed = _joined([missing_torque(cause.without, run, accelerometer=False) for run in runs], lambda m: m.base_speed)
     y = np.concatenate([run.accel - _command_driven(cause.without, run).accel for run in runs])
@@ -352,11 +321,9 @@ def _centripetal(cause: _Cause) -> list[Evidence]:
                   "simulated from the logged command. Line: the fitted law.")]
 
 
-def _eccentricity(cause: _Cause) -> list[Evidence]:
+def _eccentricity(cause: _Cause, effect: Effect) -> list[Evidence]:
     """The encoder's error against the angle: the fit's residual with this effect's own part put back."""
-    effect, x, y = cause.effect, [], []
-    assert effect is not None
-    model = build(cause.extended)
+    x, y, model = [], [], build(cause.extended)
     for run in cause.runs:
         start, offset = resting(cause.extended, run)
         reading = simulate_model(model, run, rounding=False, start_angle=start, accel_offset=offset).encoder
@@ -375,7 +342,7 @@ def _eccentricity(cause: _Cause) -> list[Evidence]:
 def _clock(cause: _Cause) -> list[Evidence]:
     """Host clock against device clock, where a run holds both."""
     timed = [run for run in cause.runs if run.host_time is not None and run.device_time is not None]
-    if not timed or cause.effect is None:
+    if not timed:
         return []
     run = max(timed, key=len)
     device = run.device_time - run.device_time[0]
@@ -387,39 +354,54 @@ def _clock(cause: _Cause) -> list[Evidence]:
                   f"Run {run.name}. Line: the fitted ratio; latency of single samples shows as scatter above it.")]
 
 
-def _frequency(cause: _Cause, quantities: tuple[str, ...]) -> list[Evidence]:
-    """Measured over simulated response against frequency, in the channel on which the cause bears most."""
+class _Ratios(NamedTuple):
+    """Measured, extended and without the cause over the same input, (m) in bands, in the channel that shows it best."""
+
+    channel: str
+    frequency: np.ndarray
+    measured: np.ndarray
+    extended: np.ndarray
+    without: np.ndarray
+
+
+def _ratios(cause: _Cause, over_command: bool, weigh: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> _Ratios | None:
+    """Over the command or over the rig without the cause; shown is the channel of the largest sum of what ``weigh``
+    says of the extended rig and of that without the cause."""
+    sources: list[Sequence[Run | Simulation]] = [
+        cause.runs, *([_command_driven(rig, run) for run in cause.runs] for rig in (cause.extended, cause.without))]
     best, most = None, -1.0
     for channel in _channels(cause):
-        pairs = [(_moves(getattr(_command_driven(cause.without, run), channel), channel),
-                  _moves(getattr(_command_driven(cause.extended, run), channel), channel),
-                  _moves(getattr(run, channel), channel)) for run in cause.runs]
-        rate = cause.extended.sample_rate
-        frequency, measured, error = _transfer([(a, c) for a, _, c in pairs], rate)
-        _, law, _ = _transfer([(a, b) for a, b, _ in pairs], rate)
+        moves = [[_moves(getattr(one, channel), channel) for one in ones] for ones in sources]
+        inputs = [run.command - run.command[0] for run in cause.runs] if over_command else moves[-1]
+        (frequency, measured, error), (_, extended, _), (_, without, _) = (
+            _transfer(list(zip(inputs, outputs, strict=True)), cause.extended.sample_rate) for outputs in moves)
         clear = error <= SPREAD
-        weight = float(np.sum(np.abs(law[clear] - 1.0)))
+        weight = float(np.sum(weigh(extended, without)[clear]))
         if weight > most and clear.sum() >= 3:
-            best, most = (channel, frequency[clear], measured[clear], law[clear]), weight
-    if best is None:
+            best = _Ratios(channel, *(row[clear] for row in (frequency, measured, extended, without)))
+            most = weight
+    return best
+
+
+def _frequency(cause: _Cause, effect: Effect, quantities: tuple[str, ...]) -> list[Evidence]:
+    """Measured over simulated response against frequency, in the channel on which the cause bears most."""
+    found = _ratios(cause, False, lambda extended, without: np.abs(extended - without))
+    if found is None:
         return []
-    channel, frequency, measured, law = best
-    sensor = _SENSORS[channel]
     pictures = []
     for quantity in quantities:
+        how = "Line: the extended rig over the same, estimated alike."
         if quantity == "gain":
-            label, y, line = "measured over simulated (dB)", _decibel(measured), _decibel(law)
-            how, limit = "Line: the extended rig over the same, estimated alike.", "0.9 dB"
+            word, label, limit, of = "Size", "measured over simulated (dB)", "0.9 dB", _decibel
         else:
-            label, y, line = "phase of measured over simulated (degrees)", _degrees(measured), _degrees(law)
-            how, limit = "Line: the extended rig over the same, estimated alike.", "6 degrees"
-            if cause.effect is not None and cause.effect.stage in _DELAYS:
-                line = -360.0 * frequency * next(iter(cause.effect.values().values()))
-                how = "Below 0 the measured is late. Line: -360 degrees times frequency times the fitted delay."
-        word = "Phase" if quantity == "phase" else "Size"
+            word, label, limit, of = "Phase", "phase of measured over simulated (degrees)", "6 degrees", _degrees
+        line = of(found.extended)
+        if quantity == "phase" and effect.stage in _DELAYS:
+            line = -360.0 * found.frequency * next(iter(effect.values().values()))
+            how = "Below 0 the measured is late. Line: -360 degrees times frequency times the fitted delay."
         pictures.append(Evidence(
-            f"{word} of the measured {sensor} against the simulated, over frequency: {cause.title}", "frequency",
-            "frequency (Hz)", label, frequency, y, frequency, line,
+            f"{word} of the measured {_SENSORS[found.channel]} against the simulated, over frequency: {cause.title}",
+            "frequency", "frequency (Hz)", label, found.frequency, of(found.measured), found.frequency, line,
             f"Points: cross over power spectra of {_count(cause.runs)}, simulated from the logged command without "
             f"this cause; bands with a standard error above {limit} are left out. {how}"))
     return pictures
@@ -427,31 +409,20 @@ def _frequency(cause: _Cause, quantities: tuple[str, ...]) -> list[Evidence]:
 
 def _modes(cause: _Cause) -> list[Evidence]:
     """What a wrong constant moves: the response to the command over frequency, measured and of both rigs."""
-    rate, best, most = cause.extended.sample_rate, None, -1.0
-    for channel in _channels(cause):
-        commands = [run.command - run.command[0] for run in cause.runs]
-        frequency, measured, error = _transfer(
-            [(u, _moves(getattr(run, channel), channel)) for u, run in zip(commands, cause.runs, strict=True)], rate)
-        with_it, without = (
-            _transfer([(u, _moves(getattr(_command_driven(rig, run), channel), channel))
-                       for u, run in zip(commands, cause.runs, strict=True)], rate)[1]
-            for rig in (cause.extended, cause.without))
-        clear = error <= SPREAD
-        weight = float(np.sum(np.abs(_decibel(with_it) - _decibel(without))[clear]))
-        if weight > most and clear.sum() >= 3:
-            best, most = (channel, frequency[clear], measured[clear], with_it[clear], without[clear]), weight
-    if best is None:
+    found = _ratios(cause, True, lambda extended, without: np.abs(_decibel(extended) - _decibel(without)))
+    if found is None:
         return []
-    channel, frequency, measured, with_it, without = best
-    sensor, unit = _SENSORS[channel], "counts per count" if channel == "accel" else "counts per sample and count"
+    sensor = _SENSORS[found.channel]
+    unit = "counts per count" if found.channel == "accel" else "counts per sample and count"
     moved = "; ".join(f"{a:.3g} Hz becomes {b:.3g} Hz" for a, b in
                       zip(_resonances(cause.without), _resonances(cause.extended), strict=False))
-    modes = f" Modes below {0.25 * rate:g} Hz: {moved}." if moved else ""
-    return [Contrast(
+    modes = f" Modes below {0.25 * cause.extended.sample_rate:g} Hz: {moved}." if moved else ""
+    return [Evidence(
         f"Response of the {sensor} to the command, over frequency: {cause.title}", "frequency", "frequency (Hz)",
-        f"{sensor} over command (dB, {unit})", frequency, _decibel(measured), frequency, _decibel(with_it),
+        f"{sensor} over command (dB, {unit})", found.frequency, _decibel(found.measured), found.frequency,
+        _decibel(found.extended),
         f"Points: cross over power spectra of {_count(cause.runs)}; bands with a standard error above 0.9 dB are left "
-        f"out. Lines: both rigs from the logged command, estimated alike.{modes}", _decibel(without))]
+        f"out. Lines: both rigs from the logged command, estimated alike.{modes}", _decibel(found.without))]
 
 
 _SENSORS = {"encoder": "angle", "accel": "acceleration"}
@@ -501,11 +472,10 @@ def _transfer(pairs: Sequence[tuple[np.ndarray, np.ndarray]], rate: float) -> tu
     lines = sum(len(x) for x, _ in pairs) / longest
     fewest = max(math.ceil(FEWEST / lines), 1)
     ratio = (0.3 * longest) ** (1.0 / BANDS)
-    rows, first = [], 1
-    while frequency[first] < 0.3 * rate:
-        end = max(first + fewest, math.ceil(first * ratio))
-        inside = slice(first, end)
-        first = end
+    rows, end = [], 1
+    while frequency[end] < 0.3 * rate:
+        inside = slice(end, max(end + fewest, math.ceil(end * ratio)))
+        end = inside.stop
         if end >= len(frequency) or not sums[0, inside].real.sum() > 0.0:
             break
         xx, xy, yy = sums[:, inside].sum(axis=1)
@@ -514,7 +484,5 @@ def _transfer(pairs: Sequence[tuple[np.ndarray, np.ndarray]], rate: float) -> tu
         coherence = max((raw * n - 1.0) / (n - 1.0), 1e-6)
         rows.append((np.sum(power * frequency[inside]) / power.sum(), xy / xx,
                      math.sqrt(max(1.0 - coherence, 0.0) / (2.0 * n * coherence))))
-    if not rows:
-        return np.zeros(0), np.zeros(0, dtype=complex), np.zeros(0)
-    frequencies, ratios, errors = (np.array(column) for column in zip(*rows, strict=True))
+    frequencies, ratios, errors = np.array(rows, dtype=complex).reshape(-1, 3).T
     return frequencies.real, ratios, errors.real

@@ -97,6 +97,10 @@ class _Motion(NamedTuple):
     angle: np.ndarray
     speed: np.ndarray
 
+    def along(self, port: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Angle and speed of a port (see ``port_vector``), each (n), between a tick and the next."""
+        return _between(self.angle @ port), _between(self.speed @ port)
+
 
 def missing_torque(rig: Rig, run: Run, at: str = "motor", *, accelerometer: bool = True) -> MissingTorque:
     """Estimate the torque that is missing at ``at``: motor, base, drive, clamp or tip (there a force).
@@ -137,8 +141,8 @@ def missing_torque(rig: Rig, run: Run, at: str = "motor", *, accelerometer: bool
         if k < passes:
             load = _load(rig, parts, motion, reaching, period)
             known, forcing, seen = _known(rig, parts, form, laws, motion, load, known, system, excess, period)
-    return MissingTorque(run.t, _next(x[:, modes]), np.sqrt(_next(variance)), _between(motion.angle @ port),
-                         _between(motion.speed @ port), run.command, _between(motion.speed[:, parts.base]),
+    return MissingTorque(run.t, _next(x[:, modes]), np.sqrt(_next(variance)), *motion.along(port), run.command,
+                         _between(motion.speed[:, parts.base]),
                          _load(rig, parts, motion, reaching, period), step, mistrust, use_accel)
 
 
@@ -159,7 +163,7 @@ def port_vector(rig: Rig, parts: Assembly, at: str) -> np.ndarray:
 
 def _next(values: np.ndarray) -> np.ndarray:
     """Row i: what is held from tick i on, which the state notes at tick i + 1."""
-    return np.append(values[1:], values[-1])
+    return np.append(values[1:], values[-1:], axis=0)
 
 
 def _between(values: np.ndarray) -> np.ndarray:
@@ -232,28 +236,26 @@ def _likeliest(system: _System, scale: float, excess: np.ndarray, forcing: np.nd
     grows.
     """
     first, grid, before = system.process(scale), np.log(SIZES * scale), math.inf
+
+    def cost(log: float, tried: _System) -> float:
+        return _misfit(*tried[:4], tried.process(math.exp(log)), first, excess, forcing)
+
     for factor in factors:
         tried = system._replace(r=system.r * np.array([1.0, factor**2])[: excess.shape[1]])
-
-        def cost(log: float, tried: _System = tried) -> float:
-            return _misfit(*tried[:4], tried.process(math.exp(log)), first, excess, forcing)
-
-        costs = [cost(log) for log in grid]
+        costs = [cost(log, tried) for log in grid]
         if min(costs) >= before:
             break
-        before, best, trusted, chosen, mistrust = min(costs), int(np.argmin(costs)), cost, tried, factor
+        before, best, chosen, mistrust = min(costs), int(np.argmin(costs)), tried, factor
     around = (grid[max(best - 1, 0)], grid[min(best + 1, grid.size - 1)])
-    found = minimize_scalar(trusted, bounds=around, method="bounded", options={"xatol": 0.1})
+    found = minimize_scalar(cost, args=(chosen,), bounds=around, method="bounded", options={"xatol": 0.1})
     return chosen, math.exp(found.x), mistrust
 
 
 def _load(rig: Rig, parts: Assembly, motion: _Motion, command: np.ndarray, h: float) -> np.ndarray:
     """Load on the gears (n), N m; ``command`` as it reaches the motor's gain, counts."""
     if rig.drive is None:
-        moved = np.apply_along_axis(_between, 0, motion.angle), np.apply_along_axis(_between, 0, motion.speed)
-        return axis_load(rig, command, *moved)
-    vector = port_vector(rig, parts, "drive")
-    return joint_torque(rig, "drive", _between(motion.angle @ vector), _between(motion.speed @ vector), h)
+        return axis_load(rig, command, _between(motion.angle), _between(motion.speed))
+    return joint_torque(rig, "drive", *motion.along(port_vector(rig, parts, "drive")), h)
 
 
 def _known(rig: Rig, parts: Assembly, form: ModalForm, laws: list[Effect], motion: _Motion,
@@ -262,15 +264,11 @@ def _known(rig: Rig, parts: Assembly, form: ModalForm, laws: list[Effect], motio
     """The rig's own torques on a motion, by place; their push on the state (n, size), and the channels without them."""
     channels, modes = excess.shape[1], 2 * form.blocks
     forcing, seen = np.zeros((len(excess), system.f.shape[0])), excess.copy()
-
-    def between(at: str) -> tuple[np.ndarray, np.ndarray]:
-        vector = port_vector(rig, parts, at)
-        return _between(motion.angle @ vector), _between(motion.speed @ vector)
-
-    torques = {at: held_torque(rig, at, *between(at), load, before.get(at, 0.0), period)
-               for at in dict.fromkeys(part_of(rig, e) for e in laws)}
-    for at, torque in torques.items():
-        held, _, feed = _ports(rig, parts, form, port_vector(rig, parts, at), period, channels)
+    torques = {}
+    for at in dict.fromkeys(part_of(rig, e) for e in laws):
+        port = port_vector(rig, parts, at)
+        torques[at] = torque = held_torque(rig, at, *motion.along(port), load, before.get(at, 0.0), period)
+        held, _, feed = _ports(rig, parts, form, port, period, channels)
         forcing[:, :modes] += np.outer(torque, held)
         seen[1:] -= np.outer(torque[:-1], feed)
     return torques, forcing, seen

@@ -14,7 +14,7 @@ from plotly.subplots import make_subplots
 
 from station.diagnose.result import DiagnosisResult, Prediction, RunComparison
 from station.model.simulate import Simulation
-from station.pictures.evidence import Contrast, Evidence
+from station.pictures.evidence import Evidence
 from station.view import remaining
 from station.view.labels import place_labels
 from station.view.residuals import Residual
@@ -140,13 +140,13 @@ def evidence_figure(evidence: Evidence) -> go.Figure:
                 error_y={"type": "data", "array": _floats(high - middle), "arrayminus": _floats(middle - low),
                          "thickness": 1.5, "width": 3}, hovertemplate="%{x:.4g}, %{y:.4g}<extra></extra>"))
             _trim(figure, y, evidence.law_y)
-    if isinstance(evidence, Contrast) and evidence.without_y is not None:
+    if evidence.without_y is not None:
         figure.add_trace(_line(evidence.law_x, evidence.without_y, "before", "without the cause", "dash", 2.0,
                                hover="%{x:.4g}, %{y:.4g}"))
     if evidence.law_x is not None and evidence.law_y is not None:
-        name = "with the cause" if isinstance(evidence, Contrast) else "fitted law"
+        name, role = ("fitted law", "law") if evidence.without_y is None else ("with the cause", "after")
         figure.add_trace(go.Scatter(x=_floats(evidence.law_x), y=_floats(evidence.law_y), mode="lines",
-                                    name=name, meta={"role": "after" if isinstance(evidence, Contrast) else "law"},
+                                    name=name, meta={"role": role},
                                     line={"width": 3, "dash": "solid"},
                                     hovertemplate="%{x:.4g}, %{y:.4g}<extra></extra>"))
     figure.update_xaxes(title_text=escape(evidence.xlabel))

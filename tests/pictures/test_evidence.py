@@ -8,7 +8,7 @@ import pytest
 
 from station.model.effects import Effect, Stage, catalogue, effect_class
 from station.model.effects.base import parameter
-from station.pictures.evidence import POINTS, Contrast, Evidence, evidence
+from station.pictures.evidence import POINTS, Evidence, evidence
 from station.rig import Rig, load_rig
 from station.runs.run import Run, RunMetadata
 from tests.truth import (
@@ -84,7 +84,7 @@ def fit(picture: Evidence) -> float:
     if picture.kind == "speed" and "At rest" in picture.note:
         x, y = x[np.abs(picture.x) > 0.5], y[np.abs(picture.x) > 0.5]
     law, none = np.interp(x, picture.law_x, picture.law_y), np.zeros(len(x))
-    if isinstance(picture, Contrast):
+    if picture.without_y is not None:
         none = picture.without_y
     elif picture.kind == "acceleration":
         none = x

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from station.pictures.evidence import Contrast
+from station.pictures.evidence import Evidence
 from station.view import figures, remaining
 from station.view.labels import place_labels
 from tests.view import made
@@ -82,7 +82,7 @@ def test_the_law_is_weighed_against_the_medians_of_its_points() -> None:
 
 def test_a_picture_of_a_wrong_constant_shows_both_rigs_apart_without_colour() -> None:
     f = np.geomspace(1.0, 20.0, 12)
-    contrast = Contrast("t", "frequency", "x", "y", f, -f, f, -f, "", -2.0 * f)
+    contrast = Evidence("t", "frequency", "x", "y", f, -f, f, -f, "", -2.0 * f)
     measured, without, with_it = figures.evidence_figure(contrast).data
     assert (measured.mode, without.line.dash, with_it.line.dash) == ("markers", "dash", "solid")
     assert (without.name, with_it.name) == ("without the cause", "with the cause")
