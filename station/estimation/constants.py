@@ -22,6 +22,8 @@ ROUGH, WORTH = 1.0, 0.2
 """Falls of -2 ln L that end a fit on the way, and one whose end is compared with others'."""
 SETTLED_SHARE = 0.2
 """Change of the logarithm of a number of independent errors below which it has settled: the estimate's own error."""
+ROUNDS = 4
+"""Most rounds to that."""
 SAME = 4.0
 """Two descents ended in one minimum where their -2 ln of the posterior differ by less."""
 
@@ -92,7 +94,7 @@ def unknown(predictor: Predictor) -> Weighing:
 
 def settled(predictor: Predictor, found: Fit) -> Fit:
     """A fit under the weighing that its own errors give."""
-    for _ in range(4):
+    for _ in range(ROUNDS):
         before = found.weighing
         now = weighing_of(predictor, found)
         found = fit(predictor, found.space, now, found.x, found.own)
