@@ -1,0 +1,82 @@
+"""What a search ends in: the causes that are said, the fits behind them, and what these leave."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from scipy.special import expit
+
+from station.diagnose.collinear import collinear
+from station.diagnose.odds import RESAMPLES, Odds, by_law, odds, resamples
+from station.diagnose.remainder import Remainder, remainder
+from station.diagnose.result import BetweenRuns, OwnOfRun
+from station.diagnose.selection import Selection, fitted
+from station.diagnose.thresholds import LOG_PRIOR, OUTSIDE, STABLE, VARIES
+from station.diagnose.verdict import Stated, stated
+from station.estimation.constants import refined
+from station.estimation.least_squares import Fit
+from station.estimation.parameters import Causes, Key
+from station.estimation.spread import differences
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """What is said of the causes before runs left out are asked."""
+
+    odds: Odds
+    by_law: Odds
+    """The same by which causes are stated."""
+    said: Stated
+    rough: Fit
+    """Of the causes said, as the search left it."""
+    fit: Fit
+    """The same to the end: values are stated from it."""
+    left: Remainder
+
+    @property
+    def outside(self) -> float:
+        """Probability that what acts is none of the catalogue's causes."""
+        return 0.0 if self.left.is_noise else OUTSIDE
+
+
+def find(search: Selection) -> Finding:
+    """What a search says."""
+    found = odds(search)
+    spoken = by_law(found)
+    best = spoken.sets[0][0]
+    first = _fitted(search, found, spoken, stated(spoken), best)
+    if first.said.one_of and not first.left.is_noise:
+        return _fitted(search, found, spoken, stated(spoken, partial(collinear, search, best)), best)
+    return first
+
+
+def _fitted(search: Selection, found: Odds, spoken: Odds, said: Stated, whole: Causes) -> Finding:
+    """What is said, as far as it simulates."""
+    rough = fitted(search, said.causes, whole)
+    best = refined(search.predictor, search.own_weighing(rough), rough)
+    said = Stated(rough.key, said.one_of & rough.key)
+    return Finding(found, spoken, said, rough, best, remainder(search.predictor, best))
+
+
+def bought(search: Selection, best: Causes, key: Key) -> float:
+    """What a cause adds to the score of a set."""
+    rest = search.fits.get(best - {key})
+    return search.score(search.fits[best]) - search.score(rest) if rest is not None else 0.0
+
+
+def between_runs(search: Selection, finding: Finding, names: list[str]) -> BetweenRuns:
+    """In what runs differ; each as probable, before what is kept for something unknown, as a further cause would be."""
+    found, seen = BetweenRuns(), differences(finding.rough, search.weighing, resamples(search))
+    for name, one in zip(("share", "constant"), seen, strict=True):
+        stability = float(np.mean(2.0 * one.log_odds > VARIES))
+        if one.gained > VARIES and stability >= STABLE:
+            setattr(found, name, one.size)
+            found.probability[name] = (1.0 - finding.outside) * float(
+                np.mean(expit(one.log_odds[-RESAMPLES:] + LOG_PRIOR)))
+            found.stability[name] = stability
+    if found.probability:
+        found.runs = [OwnOfRun(run=name, share=own[2], constant=own[3])
+                      for name, own in zip(names, finding.fit.own.tolist(), strict=True)]
+    return found

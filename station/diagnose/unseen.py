@@ -1,0 +1,64 @@
+"""The causes that are said and the rig alone, each judged on runs that no fit of theirs has seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from station.diagnose.finding import Finding
+from station.diagnose.selection import Selection
+from station.diagnose.validation import (
+    contradicted,
+    leave_each_out,
+    log_densities,
+    predicted_ahead,
+    relief,
+    simulate_runs,
+    simulate_unseen,
+)
+from station.estimation.least_squares import Fit
+from station.estimation.parameters import Causes
+from station.model.simulate import Simulation
+
+Ahead = list[dict[str, float]]
+
+
+@dataclass(frozen=True, eq=False)
+class Unseen:
+    """Every run by fits that left it out."""
+
+    left_out: list[Fit]
+    """Of the causes that are said, one without each run."""
+    densities: dict[Causes, np.ndarray]
+    """(runs) ln of the density of each run, of these causes and of none."""
+    gains: np.ndarray
+    """(runs) what the causes raise it by."""
+    relieved: float
+    """What they raise the density of what is known beside the runs by: the rig's constants, and the clocks."""
+    simulations: tuple[list[Simulation], list[Simulation], list[Simulation]]
+    """As the rig file says, with its constants re-fitted, and with the causes."""
+    ahead: tuple[Ahead, Ahead]
+    """nrmse of predictions by the rig file, and with the causes."""
+
+    @property
+    def against(self) -> bool:
+        """Whether runs left out speak against the causes."""
+        return contradicted(self.gains, self.relieved)
+
+
+def unseen(search: Selection, finding: Finding) -> Unseen:
+    """Fit the causes that are said and the rig alone again without each run in turn, and judge them by that run."""
+    predictor, nothing, causes = search.predictor, search.fits[frozenset()], finding.said.causes
+    data = predictor.data
+    left_out = {causes: leave_each_out(predictor, finding.fit.weighing, finding.fit)}
+    left_out.setdefault(frozenset(), leave_each_out(predictor, search.own_weighing(nothing), nothing))
+    alone, said = left_out[frozenset()], left_out[causes]
+    refit = simulate_unseen(predictor, alone)
+    densities = {keys: log_densities(predictor, search.weighing, fits) for keys, fits in left_out.items()}
+    relieved = (relief(alone, said) + search.clock_score(finding.fit.space.hypothesis)
+                - search.clock_score(nothing.space.hypothesis))
+    return Unseen(said, densities, densities[causes] - densities[frozenset()], relieved,
+                  (simulate_runs(data, nothing.space, np.zeros(nothing.space.size), data.own), refit,
+                   simulate_unseen(predictor, said) if causes else refit),
+                  (predicted_ahead(predictor, nothing, nominal=True), predicted_ahead(predictor, said)))
