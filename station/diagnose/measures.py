@@ -44,7 +44,8 @@ def step_figures(run: Run, encoder: np.ndarray, part: slice = slice(None)) -> di
 
 def repeats(runs: Sequence[Run]) -> list[dict[str, float]]:
     """Per run and channel, where other runs repeat its test: the standard deviation between them as a share of the
-    run's signal, in the measure of an nrmse; what a simulation that knows all but chance would leave.
+    run's signal, in the measure of an nrmse; what a simulation that knows all but chance would leave.  Of a step that
+    of its figures, too, in their units.
 
     Repeats have one controller, which is known, and one reference, or in an open loop one command, over the rows that
     both have, at least half of the longer; a log is no repeat of itself. The encoder counts from where a run began, the
@@ -64,6 +65,11 @@ def repeats(runs: Sequence[Run]) -> list[dict[str, float]]:
             size = float(np.std(getattr(run, channel)[:rows]))
             if size > 0.0:
                 found[k][channel] = between_repeats(cut) / size
+        steps = [step_figures(one, one.encoder) for one in those]
+        for name in step_figures(run, run.encoder):
+            values = [value for step in steps if (value := step.get(name)) is not None]
+            if len(values) > 1:
+                found[k][name] = float(np.std(values, ddof=1))
     return found
 
 

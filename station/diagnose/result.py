@@ -92,7 +92,8 @@ class RunGain(_Table):
     after: dict[str, float | None] = Field(default_factory=dict)
     """Overshoot, rise and settling of a step."""
     repeats: dict[str, float] = Field(default_factory=dict)
-    """Per channel, where other runs repeat this test: by how much they differ, in the measure of an nrmse."""
+    """Where other runs repeat this test, by how much they differ: per channel in the measure of an nrmse, of a step's
+    figures the standard deviation."""
 
 
 class Gain(_Table):

@@ -92,7 +92,8 @@ def _print_ahead(found: Diagnosis, console: Console) -> None:
         gains = [row.ahead.get(time) for time in times]
         cells = ["–" if g is None else wording.percent(g.nrmse_before)
                  + (f" → {wording.percent(g.nrmse_after)}" if found.causes else "") for g in gains]
-        rows.append((row.run, *cells, *(wording.step_words(m) for m in (row.measured, row.before, row.after) if steps)))
+        told = [wording.step_words(row.measured, row.repeats), *map(wording.step_words, (row.before, row.after))]
+        rows.append((row.run, *cells, *(told if steps else ())))
     console.print(_table("Angle predicted ahead" + ("; overshoot, rise and settling time" if steps else ""),
                          columns + (["measured", "before", "after"] if steps else []), rows))
 

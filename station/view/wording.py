@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import re
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from station.control.named import named_controller
@@ -362,13 +363,16 @@ def gain_rows(diagnosis: Diagnosis) -> list[tuple[str, ChannelGain]]:
     return [(name, gain) for name, gain in pairs if gain is not None]
 
 
-def step_words(measures: dict[str, float | None]) -> str:
-    """Overshoot, rise and settling time of a step test, a dash for other tests."""
+def step_words(measures: dict[str, float | None], repeats: Mapping[str, float] = MappingProxyType({})) -> str:
+    """Overshoot, rise and settling time of a step test, with what repeats differ by; a dash for other tests."""
     if not measures:
         return "–"
-    over, rise, settling = (measures.get(key) for key in ("overshoot_percent", "rise_time", "settling_time"))
-    return ", ".join([f"{number(over)} %", "not risen" if rise is None else f"{number(rise)} s",
-                      "not settled" if settling is None else f"{number(settling)} s"])
+
+    def told(name: str, unit: str, never: str) -> str:
+        value, spread = measures.get(name), f" ± {number(repeats[name], 2)}" if name in repeats else ""
+        return never if value is None else f"{number(value)}{spread} {unit}"
+    return ", ".join([told("overshoot_percent", "%", "–"), told("rise_time", "s", "not risen"),
+                      told("settling_time", "s", "not settled")])
 
 
 def disturbance(diagnosis: Diagnosis) -> str:

@@ -157,3 +157,10 @@ def test_where_a_test_was_repeated_its_runs_difference_stands_beside_the_error()
     print_diagnosis(result, Console(file=out, width=160))
     for text in (out.getvalue(), report_html(result)):
         assert "between repeats" not in text.lower()
+
+
+def test_a_steps_figures_stand_beside_what_repeats_of_it_differ_by() -> None:
+    measures = {"overshoot_percent": 24.0, "rise_time": 0.164, "settling_time": None}
+    assert wording.step_words(measures, {"overshoot_percent": 1.44, "settling_time": 0.2, "encoder": 0.01}) == \
+        "24.0 ± 1.4 %, 0.164 s, not settled"
+    assert wording.step_words({}, {"overshoot_percent": 1.0}) == "–"
