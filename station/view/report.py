@@ -238,8 +238,7 @@ class _Page:
     def notes(self) -> tuple[list[str], list[str]]:
         """What the diagnosis noted on resamples, and the rest."""
         about = [note for note in self.result.notes if "resamples" in note]
-        rest = [*filter(None, [wording.between_runs(self.diagnosis)]),
-                *(note for note in self.result.notes if note not in about)]
+        rest = [note for note in self.result.notes if note not in about]
         return list(map(wording.plain, about)), list(map(wording.plain, rest))
 
     @property

@@ -49,8 +49,10 @@ def print_diagnosis(result: DiagnosisResult, console: Console, rig: str = "RIG")
     if result.comparisons:
         print_comparison(result.comparisons, console, {row.run: row.repeats for row in found.gain.runs})
     _print_ahead(found, console)
-    for told in filter(None, (wording.disturbance(found), wording.between_runs(found))):
+    if told := wording.disturbance(found):
         console.print(_plain(told))
+    if differ := wording.between_runs(found):
+        console.print(_plain(f"{differ} That is {wording.differences(found)}."))
     if gone := wording.gone(found):
         console.print(wording.sentence(f"on runs that no fit has seen, {gone}"))
     if found.next_experiment is not None:

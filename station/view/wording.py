@@ -386,14 +386,20 @@ def disturbance(diagnosis: Diagnosis) -> str:
     return f"{words}, {percent(found.extended)} with the causes." if diagnosis.causes else f"{words}."
 
 
+def differences(diagnosis: Diagnosis) -> str:
+    """How probable it is that the runs differ, and how many resamples show it; empty where they do not."""
+    found = diagnosis.between_runs
+    return "" if found is None or not found.probability else (
+        f"{probability(min(found.probability.values()))} probable, shown by {resamples(min(found.stability.values()))}")
+
+
 def between_runs(diagnosis: Diagnosis) -> str:
     """In what the runs differ by themselves, as a sentence; empty where they do not."""
     found = diagnosis.between_runs
     if found is None:
         return ""
     sizes = {"share": f"{percent(found.share)} of its command", "constant": f"{number(found.constant, 2)} counts"}
-    told = " and ".join(f"{size} ({percent(found.probability[name])} probable)" for name, size in sizes.items()
-                        if name in found.probability)
+    told = " and ".join(size for name, size in sizes.items() if name in found.probability)
     if not told:
         return ""
     words = (f"From run to run the motor does more or less by {told}, as no cause with one value for all runs can "

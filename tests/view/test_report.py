@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import re
 import tomllib
 from dataclasses import replace
@@ -15,13 +16,15 @@ from typing import Any
 import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs_version
+from rich.console import Console
 
 from station.diagnose.odds import SEED
-from station.diagnose.result import Diagnosis, Estimate, Gain, Wrong
+from station.diagnose.result import BetweenRuns, Diagnosis, Estimate, Gain, OwnOfRun, Wrong
 from station.errors import WorkError
 from station.view import wording
 from station.view.html import PLOTLY
 from station.view.report import SECTIONS, report_html, write_report
+from station.view.terminal import print_diagnosis
 from station.view.wording import VERDICTS
 from tests.view import made
 
@@ -248,3 +251,21 @@ def test_the_loops_figures_are_shown_where_the_log_tells_them() -> None:
     text = " ".join(Page(report_html(replace(found, comparisons=runs))).texts)
     assert "How fast samples were answered" in text
     assert all(word in text for word in ("21", "64", "150", "2500", "0.5 %", "20: 990, 50: 10"))
+
+
+def test_runs_that_differ_are_told_beside_the_causes_run_by_run() -> None:
+    found = made.result()
+    assert "The runs differ" not in Page(report_html(found)).text
+    names = [row.run for row in found.diagnosis.gain.runs]
+    between = BetweenRuns(share=0.138, constant=0.98, probability={"share": 0.91, "constant": 0.88},
+                          stability={"share": 1.0, "constant": 0.93},
+                          runs=[OwnOfRun(run=name, share=0.1 * k - 0.15, constant=0.25 * k)
+                                for k, name in enumerate(names)])
+    differ = replace(found, diagnosis=found.diagnosis.model_copy(update={"between_runs": between}))
+    text, out = Page(report_html(differ)).text, io.StringIO()
+    assert "The runs differ 88 % probable, shown by 93 % of the resamples" in text
+    assert "more or less by 14 % of its command and 0.98 counts" in text
+    assert f"from −15 % in {names[0]} to 25 % in {names[4]}" in text
+    assert f"{names[1]} −5.0 % 0.25" in text and f"{names[4]} 25 % 1.0" in text
+    print_diagnosis(differ, Console(file=out, width=400))
+    assert "That is 88 % probable, shown by 93 % of the resamples." in out.getvalue()
