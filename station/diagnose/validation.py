@@ -219,13 +219,14 @@ def contradicted(gains: np.ndarray, relieved: float) -> bool:
 
 
 def gain(data: Dataset, names: Sequence[str], before: Sequence[Simulation], after: Sequence[Simulation],
-         ahead: tuple[Sequence[dict[str, float]], Sequence[dict[str, float]]] | None = None,
-         parts: Sequence[slice] | None = None) -> Gain:
+         ahead: tuple[Sequence[dict[str, float]], Sequence[dict[str, float]]], parts: Sequence[slice]) -> Gain:
     """The diagnosis file's gain: nrmse over all held-out runs and the share of the explainable error removed.
 
-    ``parts``: the rows of each run that steps are judged by, by default all.
+    ``ahead``: per run the errors of predictions so far ahead, before and after (``predicted_ahead``); ``parts``: the
+    rows of each run that steps are judged by.
     """
-    found, fractions, runs = {}, [], [RunGain(run=name) for name in names]
+    found, fractions, between = {}, [], repeats(data.runs)
+    runs = [RunGain(run=name, seconds_ahead=seconds_ahead(data, r), repeats=between[r]) for r, name in enumerate(names)]
     for c, channel in enumerate(CHANNELS[: data.channels]):
         spread = error_before = error_after = explained = explainable = 0.0
         for r, (run, rows, old, new) in enumerate(zip(data.runs, data.windows, before, after, strict=True)):
@@ -247,15 +248,10 @@ def gain(data: Dataset, names: Sequence[str], before: Sequence[Simulation], afte
                                          nrmse_after=float(np.sqrt(error_after / spread)))
         if explainable:
             fractions.append(explained / explainable)
-    for r, row in enumerate(runs):
-        row.seconds_ahead = seconds_ahead(data, r)
-    between, parts = repeats(data.runs), parts or [slice(None)] * len(runs)
     for r, (run, old, new) in enumerate(zip(data.runs, before, after, strict=True)):
-        runs[r].repeats = between[r]
         runs[r].measured, runs[r].before, runs[r].after = (step_figures(run, s.encoder, parts[r])
                                                            for s in (run, old, new))
-        if ahead is not None:
-            runs[r].ahead = {k: ChannelGain(nrmse_before=ahead[0][r][k], nrmse_after=ahead[1][r][k])
-                             for k in ahead[0][r] if np.isfinite([ahead[0][r][k], ahead[1][r][k]]).all()}
+        runs[r].ahead = {k: ChannelGain(nrmse_before=ahead[0][r][k], nrmse_after=ahead[1][r][k])
+                         for k in ahead[0][r] if np.isfinite([ahead[0][r][k], ahead[1][r][k]]).all()}
     return Gain(held_out=list(names), encoder=found.get("encoder"), accel=found.get("accel"), runs=runs,
                 explained_fraction=float(np.mean(fractions)) if fractions else None)
