@@ -30,6 +30,8 @@ from station.model.effects import Stage
 
 QUICK_STEPS = 8
 THOROUGH: dict[str, Any] = {"iterations": 25, "renewals": 4, "tolerance": 0.2}
+WAYS = ((True, True), (True, False), (False, True), (False, False))
+"""In what runs may differ: a share of the command, a constant."""
 
 
 @dataclass(frozen=True)
@@ -68,13 +70,17 @@ class Selection:
     fits: dict[Causes, Fit] = field(default_factory=dict)
     screened: list[Screened] = field(default_factory=list)
     """Of the first rung."""
+    complete: bool = False
+    """Whether what the weighing was read off leaves nothing but noise."""
     _weighed: WeakKeyDictionary[Fit, tuple[Weighing, float, float]] = field(default_factory=WeakKeyDictionary)
     """Under the weighing in force: each fit's own, its evidence, and the price of its own."""
 
     def evidence(self, found: Fit, drawn: np.ndarray | None = None) -> float:
         """Log evidence of a set of causes, up to a constant; ``drawn``: of resampled stretches.
 
-        How much runs differ is each set's own: what is most likely of all data, at the price of saying so.
+        How much runs differ is each set's own: what is most likely of all data, at the price of saying so.  Where
+        something is left that no hypothesis holds, that they differ is a part of it.  Where nothing is, it is one more
+        thing that acts, no likelier beforehand than any one cause, and a set may do without.
         """
         own, whole, price = self._own(found)
         return price + (whole if drawn is None else found.log_evidence(own, drawn))
@@ -85,9 +91,14 @@ class Selection:
 
     def _own(self, found: Fit) -> tuple[Weighing, float, float]:
         if found not in self._weighed:
-            own = replace(self.weighing, differ=found.most_likely_differ(self.weighing))
-            self._weighed[found] = own, found.log_evidence(own), found.log_narrowing(own)
+            self._weighed[found] = max((self._differing(found, may) for may in (WAYS if self.complete else WAYS[:1])),
+                                       key=lambda one: one[1] + one[2])
         return self._weighed[found]
+
+    def _differing(self, found: Fit, may: tuple[bool, bool]) -> tuple[Weighing, float, float]:
+        own = replace(self.weighing, differ=found.most_likely_differ(self.weighing, may))
+        price = found.log_narrowing(own) + (LOG_PRIOR if self.complete else 0.0)
+        return own, found.log_evidence(own), float(price @ may)
 
     def score(self, found: Fit, drawn: np.ndarray | None = None) -> float:
         """Log posterior of a set of causes, up to a constant; ``drawn``: of resampled stretches."""
@@ -123,6 +134,7 @@ class Selection:
     def weigh(self, found: Fit) -> None:
         """Take what a fit leaves for what models of this rig leave."""
         self.weighing = weighing_of(self.predictor, found)
+        self.complete = remainder(self.predictor, found).is_noise
         self._weighed.clear()
 
 
@@ -130,7 +142,7 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
     """The whole search."""
     progress("fitting the nominal rig's constants", 0.05)
     parent = base_fit(predictor)
-    search = Selection(predictor, effort, parent.weighing)
+    search = Selection(predictor, effort, parent.weighing, complete=remainder(predictor, parent).is_noise)
     search.keep(parent)
     parent = _with_derivatives(search, search.fits[parent.key])
     pool = candidates(predictor.data.rig)

@@ -215,8 +215,9 @@ class Fit(_Point):
                   + np.sum(np.log(own), axis=(-2, -1)) + np.sum(np.linalg.slogdet(inverse)[1], axis=-1))
         return value, volume, (matrix, moved, inverse)
 
-    def most_likely_differ(self, weighing: Weighing) -> tuple[float, float]:
-        """How much runs differ in what the motor does more than the rig says (``Weighing.differ``).
+    def most_likely_differ(self, weighing: Weighing, may: tuple[bool, bool] = (True, True)) -> tuple[float, float]:
+        """How much runs differ in what the motor does more than the rig says (``Weighing.differ``); in what they may
+        not, they are held alike.
 
         Empirical Bayes (Gelman et al., section 13.6), about the fit: of highest marginal likelihood, parameters and
         what runs have of their own integrated out.  It has more than one mode: where all runs of a fit have moved the
@@ -227,8 +228,10 @@ class Fit(_Point):
         """
         if len(self.squares) < SEVERAL:
             return 0.0, 0.0
+        if not any(may):
+            return LEAST_DIFFERENCE, LEAST_DIFFERENCE
         p, (matrices, slopes) = self.space.size, self._by_run(weighing)
-        ends = np.log([np.full(2, LEAST_DIFFERENCE), largest_differ(self.space.rig)])
+        ends = np.log([np.full(2, LEAST_DIFFERENCE), np.where(may, largest_differ(self.space.rig), LEAST_DIFFERENCE)])
 
         def surprise(logs: np.ndarray) -> tuple[float, np.ndarray]:
             sizes = np.exp(logs)
@@ -245,15 +248,15 @@ class Fit(_Point):
         sizes = np.exp(minimize(surprise, begun, jac=True, method="L-BFGS-B", bounds=ends.T).x)
         return float(sizes[0]), float(sizes[1])
 
-    def log_narrowing(self, weighing: Weighing) -> float:
-        """ln of the evidence, averaged over what runs may differ by, over that at ``weighing.differ``.
+    def log_narrowing(self, weighing: Weighing) -> np.ndarray:
+        """(2) ln of the evidence, averaged over what runs may differ by in either, over that at ``weighing.differ``.
 
         Of a set's sizes only the order of magnitude is unknown beforehand: their logarithms are evenly distributed
         (Gelman et al., section 5.4), down to where runs are alike.  Sizes that the runs single out were one of many; a
-        set that needs none has most of them.  One size at a time, the other at its most likely.
+        set that needs none has most of them.  The other size stays at its most likely.
         """
         if len(self.squares) < SEVERAL:
-            return 0.0
+            return np.zeros(2)
         sizes = np.tile(weighing.differ, (2, SIZES, 1))
         for k, end in enumerate(largest_differ(self.space.rig)):
             sizes[k, :, k] = np.exp(np.linspace(np.log(LEAST_DIFFERENCE), np.log(end), SIZES))
@@ -261,7 +264,7 @@ class Fit(_Point):
                                             self.own_precision(np.vstack([weighing.differ, *sizes])))
         log_density = 0.5 * (volume - value)
         others = np.minimum(log_density[1:] - log_density[0], 0.0).reshape(2, SIZES)
-        return float(np.sum(np.log(np.trapezoid(np.exp(others), axis=1) / (SIZES - 1))))
+        return np.log(np.trapezoid(np.exp(others), axis=1) / (SIZES - 1))
 
     @cached_property
     def covariance(self) -> np.ndarray:

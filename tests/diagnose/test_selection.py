@@ -24,11 +24,14 @@ class Found(SimpleNamespace):
     __eq__ = object.__eq__
 
 
-def found(evidence: float, *effects: tuple, constants: tuple[str, ...] = (), narrowed: float = 0.0) -> Found:
+def found(evidence: float, *effects: tuple, constants: tuple[str, ...] = (), narrowed: float = 0.0,
+          lost: tuple[float, float] = (0.0, 0.0)) -> Found:
+    """``lost``: what the evidence loses where runs are held alike in their share of the command, and in a constant."""
     hypothesis = Hypothesis(effects, constants)
     made = Found(space=SimpleNamespace(hypothesis=hypothesis, zeros=0), key=hypothesis.key,
-                 log_evidence=lambda weighing, drawn=None: evidence,
-                 most_likely_differ=lambda weighing: (0.0, 0.0), log_narrowing=lambda weighing: narrowed)
+                 log_evidence=lambda weighing, drawn=None: evidence - np.dot(lost, np.equal(weighing.differ, 0.0)),
+                 most_likely_differ=lambda weighing, may: tuple(map(float, may)),
+                 log_narrowing=lambda weighing: np.array([narrowed, 0.0]))
     made.light = made
     return made
 
@@ -52,6 +55,19 @@ def test_sizes_of_differences_that_runs_single_out_cost_what_singling_out_costs(
     search = searching()
     one, drawn = found(10.0, narrowed=-3.0), np.ones(1)
     assert search.score(one) == search.score(one, drawn) == 7.0
+
+
+def test_where_only_noise_is_left_that_runs_differ_costs_what_a_cause_does_and_a_set_may_do_without() -> None:
+    """Where more is left, that runs differ is a part of it, and costs no more than to say by how much."""
+    needy, easy = found(20.0, narrowed=-3.0, lost=(12.0, 1.0)), found(20.0, FRICTION, narrowed=-3.0, lost=(1.0, 1.0))
+    search = searching()
+    assert search.score(needy) == 17.0 and search.score(easy) == 17.0 + LOG_PRIOR
+    search = searching()
+    search.complete = True
+    assert search.score(needy) == pytest.approx(20.0 - 1.0 - 3.0 + LOG_PRIOR)
+    assert search.own_weighing(needy).differ == (1.0, 0.0)
+    assert search.score(easy) == pytest.approx(20.0 - 2.0 + LOG_PRIOR)
+    assert search.own_weighing(easy).differ == (0.0, 0.0)
 
 
 def test_clocks_that_disagree_speak_against_every_set_that_leaves_the_boards_clock_right() -> None:
