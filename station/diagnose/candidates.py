@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,7 +33,24 @@ class Candidate:
         """Guesses from which fits begin: more where the objective has many valleys (angles, gaps)."""
         if self.effect is None:
             return 1
-        return 3 if self.effect.stage is Stage.GAP else min(1 + len(self.guesses) // 5, 4)
+        return 3 if self.effect.stage is Stage.GAP else min(1 + len(self.components) // 5, 4)
+
+    @property
+    def components(self) -> list[tuple[dict[str, float], ...]]:
+        """The guesses to look at: of a law with a phase, in which it is a sine, those that differ in nothing else are
+        one, seen in two phases a quarter of a turn apart."""
+        phase = self.phase
+        if phase is None:
+            return [(guess,) for guess in self.guesses]
+        first = {tuple(v for name, v in guess.items() if name != phase): guess for guess in reversed(self.guesses)}
+        return [(guess, {**guess, phase: wrapped(guess[phase] + 0.5 * math.pi)}) for guess in reversed(first.values())]
+
+    @property
+    def phase(self) -> str | None:
+        """The effect's parameter that is one, if it has such."""
+        if self.effect is None:
+            return None
+        return next((name for name, info in self.effect.parameters().items() if info.periodic), None)
 
     @property
     def hypothesis(self) -> Hypothesis:
@@ -44,6 +62,11 @@ class Candidate:
         base = fit.space
         space = parameters(data, base.hypothesis + self.hypothesis, {**base.values(base.mean), self.key: guess})
         return space, space.carried(base, fit.x, {self.key: guess})
+
+
+def wrapped(angle: float) -> float:
+    """The same angle within [-pi, pi], rad."""
+    return math.remainder(angle, 2.0 * math.pi)
 
 
 def candidates(rig: Rig) -> list[Candidate]:

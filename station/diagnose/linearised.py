@@ -15,6 +15,7 @@ noise were all that may be missed.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -36,6 +37,14 @@ class Change:
     """(runs, b) c'c."""
     slopes: np.ndarray
     """(runs, b, k) J'c."""
+
+    @staticmethod
+    def combined(changes: Sequence[Change], sizes: np.ndarray) -> Change:
+        """So many times (m) each of m changes."""
+        scaled = [sum(a * c for a, c in zip(sizes, run, strict=True))
+                  for run in zip(*(c.scaled for c in changes), strict=True)]
+        return Change(scaled, np.array([np.sum(c * c, axis=1) for c in scaled]),
+                      np.tensordot(sizes, [c.slopes for c in changes], 1))
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,9 @@
 A cause of a guessed size changes the predictions; what that and multiples of it would buy, the parent's own parameters
 moved with it, is read off the parent's quadratic (``linearised``).  With one of the parent's own effects taken out, and
 what that changes taken from the errors, the same says which could stand in its place.
+
+What a law a sin(x + phi) changes is, to first order, that of two phases a quarter of a turn apart, cos(phi) of one and
+sin(phi) of the other: both sizes together say amplitude and phase.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ from itertools import combinations
 
 import numpy as np
 
-from station.diagnose.candidates import Candidate
+from station.diagnose.candidates import Candidate, wrapped
 from station.diagnose.linearised import Change, Linearised
 from station.estimation.dataset import SEVERAL
 from station.estimation.least_squares import DIVERGED, Fit
@@ -64,11 +67,20 @@ class Exchange:
 
 @dataclass(frozen=True, eq=False)
 class _Row:
-    """What screening says of a guess, what so many times the guess changes in the predictions, and how many times."""
+    """What screening says of a guess, what so many times the guess and its components change in the predictions, and
+    how many times."""
 
     screened: Screened
-    change: Change | None
+    guess: dict[str, float]
+    """The first component."""
+    changes: tuple[Change, ...]
+    """Of every component (``Candidate.components``); none where the guess does not simulate."""
     factor: float = 1.0
+
+    def along(self, sizes: np.ndarray, gain: float) -> Screened:
+        """The same cause where its components have these sizes (m)."""
+        return replace(self.screened, guess=turned(self.screened.candidate, self.guess, sizes), gain=gain,
+                       size=self.factor * float(np.hypot(*sizes) if len(sizes) == 2 else sizes[0]))
 
 
 def scaled(candidate: Candidate, guess: dict[str, float], factor: float) -> dict[str, float]:
@@ -81,43 +93,65 @@ def scaled(candidate: Candidate, guess: dict[str, float], factor: float) -> dict
     return moved
 
 
+def turned(candidate: Candidate, guess: dict[str, float], sizes: np.ndarray) -> dict[str, float]:
+    """A guess in the phase that its components' sizes (m) say."""
+    phase = candidate.phase
+    if phase is None:
+        return guess
+    return {**guess, phase: wrapped(guess[phase] + math.atan2(sizes[1], sizes[0]))}
+
+
+def _direction(gram: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """(m) by which shares of its components, whose squares add up to one, a cause buys most; G (m, m) and b (m)."""
+    if len(slope) == 1:
+        return np.ones(1)
+    sizes = np.linalg.lstsq(gram, slope, rcond=1e-9)[0]
+    length = float(np.linalg.norm(sizes))
+    return sizes / length if length > 0.0 else np.eye(len(slope))[0]
+
+
 def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
            ) -> tuple[list[Screened], list[tuple[Screened, Screened]], list[Exchange]]:
     """All causes at their guesses, best first; pairs expected to gain more than their better half, best first; and what
     could stand in the place of one of the parent's effects, for each of them best first."""
     known = Linearised.of(predictor, parent)
 
-    def at(candidate: Candidate, guess: dict[str, float]) -> Change | None:
-        return known.change(*candidate.beside(predictor.data, parent, guess))
+    def row(candidate: Candidate, guesses: Sequence[dict[str, float]], factor: float = 1.0) -> _Row:
+        found = [known.change(*candidate.beside(predictor.data, parent, scaled(candidate, guess, factor)))
+                 for guess in guesses]
+        changes = tuple(change for change in found if change is not None)
+        if len(changes) < len(found):
+            return _Row(Screened(candidate, guesses[0], 0.0, 1.0, 0.0), guesses[0], ())
+        if len(changes) == 1:
+            return _Row(_expected(known, candidate, guesses[0], changes[0]), guesses[0], changes, factor)
+        gram, slope = known.products(list(changes))
+        sizes = _direction(gram, slope)
+        said = _expected(known, candidate, turned(candidate, guesses[0], sizes), Change.combined(changes, sizes))
+        # An effect shows if it does in any phase.
+        return _Row(replace(said, information=float(gram.diagonal().max())), guesses[0], changes, factor)
 
-    def tried(task: tuple[Candidate, dict[str, float]]) -> _Row:
-        candidate, guess = task
-        change = at(candidate, guess)
-        if change is None:
-            return _Row(Screened(candidate, guess, 0.0, 1.0, 0.0), None)
-        found = _expected(known, candidate, guess, change)
-        if found.information > STRONG:
-            factor = math.sqrt(STRONG / found.information)
-            smaller = at(candidate, scaled(candidate, guess, factor))
-            if smaller is not None:
-                closer = _expected(known, candidate, guess, smaller)
-                if closer.gain > found.gain:
-                    closer = replace(closer, size=factor * closer.size, information=found.information)
-                    return _Row(closer, smaller, factor)
-        return _Row(found, change)
+    def tried(task: tuple[Candidate, tuple[dict[str, float], ...]]) -> _Row:
+        candidate, guesses = task
+        found = row(candidate, guesses)
+        strength = found.screened.information
+        if strength > STRONG:
+            closer = row(candidate, guesses, factor := math.sqrt(STRONG / strength))
+            if closer.changes and closer.screened.gain > found.screened.gain:
+                return replace(closer, screened=replace(closer.screened, size=factor * closer.screened.size,
+                                                        information=strength))
+        return found
 
-    tasks = [(c, g) for c in pool if c.effect is not None for g in c.guesses]
-    rows = list(predictor.pool.map(tried, tasks))
+    rows = list(predictor.pool.map(tried, [(c, guesses) for c in pool for guesses in c.components]))
     found = [row.screened for row in rows]
     clock, quadratic = predictor.data.clock, parent.normal(parent.weighing)
     for candidate in pool:
         if candidate.effect is None:
-            found.append(_freed(predictor, parent, candidate, *quadratic))
+            found.append(freed(predictor, parent, candidate, *quadratic))
         elif candidate.effect.stage is Stage.CLOCK and clock is not None:
             ratio, error = clock
             found.append(Screened(candidate, {"ratio": ratio}, ((ratio - 1.0) / error) ** 2, 1.0, error**-2))
     found += _shared(parent, pool)
-    rows = [row for row in rows if row.change is not None]
+    rows = [row for row in rows if row.changes]
     return sorted(found, key=lambda s: -s.gain), _pairs(known, rows), _in_place(known, rows)
 
 
@@ -165,15 +199,19 @@ def _pairs(known: Linearised, rows: Sequence[_Row]) -> list[tuple[Screened, Scre
     leading = list(best.values())[:PAIRED]
     if len(leading) < 2:
         return []
-    gram, slope = known.products([row.change for row in leading])
+    gram, slope = known.products([change for row in leading for change in row.changes])
+    ends = np.cumsum([len(row.changes) for row in leading])
+    columns = [list(range(end - len(row.changes), end)) for row, end in zip(leading, ends.tolist(), strict=True)]
     pairs = []
-    for (i, one), (j, other) in combinations(enumerate(leading), 2):
+    for (one, mine), (other, its) in combinations(zip(leading, columns, strict=True), 2):
+        both = mine + its
         with suppress(np.linalg.LinAlgError):
-            sizes = np.linalg.solve(gram[np.ix_([i, j], [i, j])], slope[[i, j]])
-            gain = float(slope[[i, j]] @ sizes)
-            if np.all((sizes > 0.0) & (sizes < LINEAR)) and gain > max(one.screened.gain, other.screened.gain):
-                pairs.append((replace(one.screened, gain=gain, size=one.factor * float(sizes[0])),
-                              replace(other.screened, gain=gain, size=other.factor * float(sizes[1]))))
+            sizes = np.linalg.solve(gram[np.ix_(both, both)], slope[both])
+            gain = float(slope[both] @ sizes)
+            parts = [sizes[: len(mine)], sizes[len(mine):]]
+            within = all(np.linalg.norm(part) < LINEAR and (len(part) > 1 or part[0] > 0.0) for part in parts)
+            if within and gain > max(one.screened.gain, other.screened.gain):
+                pairs.append((one.along(parts[0], gain), other.along(parts[1], gain)))
     return sorted(pairs, key=lambda pair: -pair[0].gain)
 
 
@@ -189,15 +227,17 @@ def _in_place(known: Linearised, rows: Sequence[_Row]) -> list[Exchange]:
             for row in rows:
                 key = row.screened.candidate.key
                 if key[0] == less[0] or len(hypothesis.causes) > 1:
-                    gram, slope = reduced.products([row.change])
-                    one = _screened(row.screened.candidate, row.screened.guess, float(gram[0, 0]), float(slope[0]))
+                    gram, slope = reduced.products(list(row.changes))
+                    sizes = _direction(gram, slope)
+                    one = _screened(row.screened.candidate, turned(row.screened.candidate, row.guess, sizes),
+                                    float(sizes @ gram @ sizes), float(slope @ sizes))
                     if key not in others or one.gain > others[key].gain:
                         others[key] = replace(one, size=row.factor * one.size)
             found += [Exchange(less, one) for one in sorted(others.values(), key=lambda one: -one.gain)]
     return found
 
 
-def _freed(predictor: Predictor, parent: Fit, candidate: Candidate, normal: np.ndarray, slope: np.ndarray) -> Screened:
+def freed(predictor: Predictor, parent: Fit, candidate: Candidate, normal: np.ndarray, slope: np.ndarray) -> Screened:
     """Expected gain of setting one constant free: only its prior changes.
 
     ``normal`` (p, p) and ``slope`` (p): the data's, of the parent.

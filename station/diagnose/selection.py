@@ -21,9 +21,9 @@ from station.diagnose.remainder import remainder
 from station.diagnose.screening import Screened, screen
 from station.diagnose.starts import attempted, far_starts, rigid_starts
 from station.diagnose.thresholds import CLOSE, LOG_PRIOR, LOG_PRIOR_PARAMETER, WORTH_A_FIT
-from station.estimation.constants import base_fit, settled
+from station.estimation.constants import base_fit, in_step, settled
 from station.estimation.least_squares import FAR, Fit, fit, inherited, weighing_of
-from station.estimation.likelihood import Weighing
+from station.estimation.likelihood import LEAST_DIFFERENCE, Weighing
 from station.estimation.parameters import Causes, Hypothesis, Key, Parameters, Sizes, parameters
 from station.estimation.prediction import COARSE, FINE, SEARCH, Accuracy, Predictor
 from station.model.effects import Stage
@@ -67,6 +67,8 @@ class Selection:
     predictor: Predictor
     effort: Effort
     weighing: Weighing
+    beginnings: Fit
+    """The rig alone, fitted to the beginnings of its runs (``in_step``)."""
     fits: dict[Causes, Fit] = field(default_factory=dict)
     screened: list[Screened] = field(default_factory=list)
     """Of the first rung."""
@@ -141,8 +143,11 @@ class Selection:
 def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float], None]) -> Selection:
     """The whole search."""
     progress("fitting the nominal rig's constants", 0.05)
-    parent = base_fit(predictor)
-    search = Selection(predictor, effort, parent.weighing, complete=remainder(predictor, parent).is_noise)
+    alone = parameters(predictor.data, Hypothesis(), {})
+    beginnings = in_step(predictor, alone, alone.mean)
+    parent = base_fit(predictor, beginnings)
+    search = Selection(predictor, effort, parent.weighing, beginnings,
+                       complete=remainder(predictor, parent).is_noise)
     search.keep(parent)
     parent = _with_derivatives(search, search.fits[parent.key])
     pool = candidates(predictor.data.rig)
@@ -202,7 +207,7 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], progress: Call
         jobs.append((label, start[0].gain if less is None else -np.inf, partial(begun, predictor, parent, start, less)))
 
     far = rigid_starts(predictor, parent, pool) if grows and not content else []
-    for start in far if parent.key else far + far_starts(predictor, pool, effort.finished):
+    for start in far if parent.key else far + far_starts(predictor, pool, effort.finished, search.beginnings):
         jobs.append((f"{start.candidate.hypothesis.label}, far from nominal", -np.inf, partial(
             attempted, predictor, start.space, search.weighing, start.x, start.own, tolerance=0.5, first=FAR)))
     for less in sorted({exchange.less for exchange in exchanges}):
@@ -231,7 +236,7 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], progress: Call
                 found[one.key] = one
     ranked = leading(search, found, expected)[: effort.finished]
     _refit(search, [search.fits[f.key] for f in ranked], False,
-           lambda k, label: told(f"fitted {label}", 0.6 + 0.4 * (k + 1) / len(ranked)))
+           lambda share, label: told(f"fitted {label}", 0.6 + 0.4 * share))
 
 
 def leading(search: Selection, found: dict[Causes, Fit], expected: dict[Causes, float]) -> list[Fit]:
@@ -284,18 +289,25 @@ def centred(predictor: Predictor, found: Fit) -> tuple[Parameters, np.ndarray]:
 
 
 def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
-           told: Callable[[int, str], None] = lambda k, label: None) -> None:
-    """Fit sets to the end, each with what runs differ by by itself, side by side."""
-    def again(found: Fit) -> Fit | None:
+           told: Callable[[float, str], None] = lambda share, label: None) -> None:
+    """Fit sets to the end, each with what runs differ by by itself, side by side.
+
+    Where a set may do without (``Selection.evidence``) it is fitted so, too: what runs differ by stood in for its
+    causes, and about that fit the runs do differ.
+    """
+    def again(job: tuple[Fit, tuple[float, float]]) -> Fit | None:
+        found, differ = job
         space, x = centred(search.predictor, found)
-        return attempted(search.predictor, space, search.own_weighing(found), x, found.own, **THOROUGH,
+        return attempted(search.predictor, space, replace(search.weighing, differ=differ), x, found.own, **THOROUGH,
                          to_the_end=to_the_end)
 
-    fits = list(fits)
-    for k, (old, found) in enumerate(zip(fits, search.predictor.pool.map(again, fits), strict=True)):
+    alike = (LEAST_DIFFERENCE, LEAST_DIFFERENCE)
+    jobs = [(found, differ) for found in fits
+            for differ in dict.fromkeys([search.own_weighing(found).differ, *[alike] * search.complete])]
+    for k, ((old, _), found) in enumerate(zip(jobs, search.predictor.pool.map(again, jobs), strict=True)):
         if found is not None:
             search.keep(found, old)
-            told(k, found.space.hypothesis.label)
+            told((k + 1) / len(jobs), found.space.hypothesis.label)
 
 
 def _look_back(search: Selection, found: Fit) -> None:

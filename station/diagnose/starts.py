@@ -2,9 +2,10 @@
 
 A beam of a fifth of its length shows other modes altogether: the objective has a valley at every one, and derivatives
 at nominal lead into the nearest.  So the objective is worked out along each constant alone, over the whole width of
-its prior, on stretches after the first command that are too short for the beam to fall out of step.  A joint that
-yields too much hides one that does not yield at all, whatever the constant alone would do: it is begun stiff in any
-case.
+its prior, on stretches after the first command that are too short for the beam to fall out of step.  Where others must
+move with it a constant alone shows nothing, and from whole runs in a side valley nothing points to it either; there
+counts what the quadratic of such stretches promises of setting it free.  A joint that yields too much hides one that
+does not yield at all, whatever the constant alone would do: it is begun stiff in any case.
 """
 
 from __future__ import annotations
@@ -17,12 +18,13 @@ from typing import Any
 import numpy as np
 
 from station.diagnose.candidates import Candidate
-from station.diagnose.thresholds import WORTH_A_FIT
+from station.diagnose.screening import freed
+from station.diagnose.thresholds import LOG_PRIOR, WORTH_A_FIT
 from station.estimation.constants import FIRST_SECONDS, in_step, unknown
 from station.estimation.dataset import first_seconds
 from station.estimation.least_squares import DIVERGED, Fit, fit
 from station.estimation.likelihood import Weighing, cost
-from station.estimation.parameters import WIDE, Hypothesis, Parameters, parameters
+from station.estimation.parameters import WIDE, Parameters, parameters
 from station.estimation.prediction import Predictor
 
 JOINTS = ("drive.stiffness", "clamp.stiffness")
@@ -69,25 +71,31 @@ def rigid_starts(predictor: Predictor, parent: Fit, pool: Sequence[Candidate]) -
     return found
 
 
-def far_starts(predictor: Predictor, pool: Sequence[Candidate], most: int) -> list[Start]:
-    """The rig alone with one constant far from nominal, where that meets the runs' beginnings better than the rig alone
-    can: ``most`` are tried, those that meet them best before anything is fitted."""
-    rows = sorted(_profiles(predictor, [c for c in pool if c.constant is not None]), key=lambda row: row[0])
-    rows = [row for row in rows if row[1] != 0.0][:most]
-    if not rows:
-        return []
-    alone = parameters(predictor.data, Hypothesis(), {})
-    limit = in_step(predictor, alone, alone.mean).objective - WORTH_A_FIT
+def far_starts(predictor: Predictor, pool: Sequence[Candidate], most: int, alone: Fit) -> list[Start]:
+    """The rig alone with one constant free, where that meets the runs' beginnings better than the rig alone can
+    (``alone``: fitted ``in_step``).
 
-    def begun(row: tuple[float, float, Candidate]) -> Start | None:
-        _, sigmas, candidate = row
+    Tried are ``most`` of those that far from nominal meet them best before anything is fitted, and half as many of
+    those whose freedom the quadratic about ``alone`` promises most of, if that can pay for its prior odds.
+    """
+    constants = [c for c in pool if c.constant is not None]
+    rows = sorted(_profiles(predictor, constants), key=lambda row: row[0])
+    tried = [(candidate, sigmas) for _, sigmas, candidate in rows if sigmas != 0.0][:most]
+    quadratic = alone.normal(alone.weighing)
+    promised = sorted((freed(predictor, alone, c, *quadratic) for c in constants), key=lambda one: -one.gain)
+    tried += [(one.candidate, 0.0) for one in promised[: most // 2]
+              if one.gain > -2.0 * LOG_PRIOR and one.candidate not in {candidate for candidate, _ in tried}]
+
+    def begun(row: tuple[Candidate, float]) -> Start | None:
+        candidate, sigmas = row
         space = parameters(predictor.data, candidate.hypothesis, {})
         with suppress(*DIVERGED):
             found = in_step(predictor, space, _placed(space, candidate, sigmas, space.mean), parallel=False)
-            return Start(candidate, space, found.x, found.own) if found.objective < limit else None
+            worth = found.objective < alone.objective - WORTH_A_FIT
+            return Start(candidate, space, found.x, found.own) if worth else None
         return None
 
-    return [start for start in predictor.pool.map(begun, rows) if start is not None]
+    return [start for start in predictor.pool.map(begun, tried) if start is not None]
 
 
 def _profiles(predictor: Predictor, constants: Sequence[Candidate]) -> list[tuple[float, float, Candidate]]:

@@ -28,14 +28,14 @@ SAME = 4.0
 """Two descents ended in one minimum where their -2 ln of the posterior differ by less."""
 
 
-def base_fit(predictor: Predictor) -> Fit:
-    """The best rig without further causes."""
+def base_fit(predictor: Predictor, begun: Fit | None = None) -> Fit:
+    """The best rig without further causes; ``begun``: its fit ``in_step`` from nominal, where there is one already."""
     space = parameters(predictor.data, Hypothesis(), {})
-    return settled(predictor, descended(predictor, space, space.mean))
+    return settled(predictor, descended(predictor, space, space.mean, begun))
 
 
-def descended(predictor: Predictor, space: Parameters, x: np.ndarray) -> Fit:
-    """The better of two fits from ``x`` (p), before anything is known of the errors.
+def descended(predictor: Predictor, space: Parameters, x: np.ndarray, begun: Fit | None = None) -> Fit:
+    """The better of two fits from ``x`` (p), before anything is known of the errors; ``begun`` from there ``in_step``.
 
     A beam whose frequency is off swings out of step with its model after a few periods, and the objective has a valley
     for every period lost.  So fits are begun twice: on whole runs, and on longer and longer stretches after each run's
@@ -44,7 +44,7 @@ def descended(predictor: Predictor, space: Parameters, x: np.ndarray) -> Fit:
     found = [fit(predictor, space, unknown(predictor), x, tolerance=ROUGH)]
     if predictor.observers:
         with suppress(*DIVERGED):
-            begun = in_step(predictor, space, x)
+            begun = begun or in_step(predictor, space, x)
             found.append(fit(predictor, space, unknown(predictor), begun.x, begun.own, tolerance=ROUGH))
     return min(found, key=lambda f: f.objective)
 
