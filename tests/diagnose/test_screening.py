@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 
@@ -21,7 +22,7 @@ from tests.estimation.made import predictions
 from tests.truth import RIGID_AXIS, TWO_MASS, make_case
 
 FRICTION, DEAD_ZONE = ("coulomb_friction", "motor"), ("dead_zone", "amplifier")
-CURVE = ("gain_curve", "amplifier")
+CURVE, TILT = ("gain_curve", "amplifier"), ("gravity_tilt", "base")
 
 
 def hiding(table: dict, seed: int, hidden: Sequence[Key]) -> AbstractContextManager[Predictor]:
@@ -63,6 +64,31 @@ def test_of_a_single_cause_the_same_law_elsewhere_alone_is_looked_at() -> None:
     with hiding(TWO_MASS, 8062, [FRICTION]) as predictor:
         _, found = exchanges(predictor, [FRICTION])
     assert [(one.less, one.more.candidate.key) for one in found] == [(FRICTION, ("coulomb_friction", "base"))]
+
+
+@pytest.mark.parametrize("angle", [0.8, 2.4, -0.9, -2.3])
+def test_an_angle_between_the_guesses_is_read_off_two_of_them(angle: float) -> None:
+    """A sine of any phase is made of two; what it promises is no less than a fit from there finds."""
+    hidden = {"effect": "gravity_tilt", "at": "base", "torque": 0.004, "angle": angle}
+    runs = make_case(8064, [hidden], nominal=TWO_MASS, count=5).runs
+    with predictions(Rig.model_validate(TWO_MASS), runs) as predictor:
+        parent, pool = base_fit(predictor), candidates(predictor.data.rig)
+        (said,) = [one for one in screen(predictor, parent, pool)[0] if one.candidate.key == TILT]
+    assert abs(math.remainder(said.guess["angle"] - angle, 2.0 * math.pi)) < 0.5
+    assert said.gain > 10.0
+
+
+def test_of_a_law_with_a_phase_two_guesses_stand_for_all_that_differ_in_nothing_else() -> None:
+    for candidate in candidates(Rig.model_validate(TWO_MASS)):
+        told = [{k: v for k, v in guess.items() if k != candidate.phase} for guess in candidate.guesses]
+        for one, *other in candidate.components:
+            assert one in candidate.guesses and len(other) == (candidate.phase is not None)
+            if candidate.phase is not None:
+                turned = other[0][candidate.phase] - one[candidate.phase]
+                assert abs(math.remainder(turned - 0.5 * math.pi, 2.0 * math.pi)) < 1e-9
+                assert {**other[0], candidate.phase: one[candidate.phase]} == one
+        seen = [{k: v for k, v in one.items() if k != candidate.phase} for one, *_ in candidate.components]
+        assert [one for k, one in enumerate(told) if one not in told[:k]] == seen
 
 
 def test_sizes_of_pairs_are_multiples_of_the_guess_whatever_was_simulated(monkeypatch: pytest.MonkeyPatch) -> None:

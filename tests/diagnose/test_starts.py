@@ -46,6 +46,21 @@ def test_the_constant_that_is_far_off_is_begun_where_it_is(table: str, key: str,
     assert abs(log - math.log(factor)) < math.log(2.0)
 
 
+def test_a_constant_with_which_others_must_move_is_begun_where_they_do() -> None:
+    """Along the base's inertia alone nothing is better than nominal, while the torque's scale is another."""
+    true: dict[str, Any] = copy.deepcopy(SFLR)
+    for key, factor in (("motor.inertia", 2.6), ("motor.damping", 2.0), ("motor.gain", 2.3), ("base.inertia", 0.18),
+                        ("beam.flexural_rigidity", 0.66), ("drive.stiffness", 0.76)):
+        table, name = key.split(".")
+        true[table][name] *= factor
+    with predictions(ARM, list(make_case(8304, nominal=true, count=4).runs)) as predictor:
+        found = {start.candidate.constant: start for start in starting(predictor, 2)}
+    assert "base.inertia" in found
+    begun = found["base.inertia"]
+    log = begun.space.logs(begun.x)[begun.space.paths.index("base.inertia")]
+    assert abs(log - math.log(0.18)) < math.log(2.0)
+
+
 def test_where_every_constant_is_about_right_no_fit_begins_elsewhere() -> None:
     with predictions(ARM, runs_of(8301, "base", "inertia", 1.0)) as predictor:
         assert starting(predictor, 4) == []
