@@ -30,8 +30,6 @@ from station.model.effects import Stage
 
 QUICK_STEPS = 8
 THOROUGH: dict[str, Any] = {"iterations": 25, "renewals": 4, "tolerance": 0.2}
-WAYS = ((True, True), (True, False), (False, True), (False, False))
-"""In what runs may differ: a share of the command, a constant."""
 
 
 @dataclass(frozen=True)
@@ -93,11 +91,16 @@ class Selection:
 
     def _own(self, found: Fit) -> tuple[Weighing, float, float]:
         if found not in self._weighed:
-            self._weighed[found] = max((self._differing(found, may) for may in (WAYS if self.complete else WAYS[:1])),
-                                       key=lambda one: one[1] + one[2])
+            both = self._differing(found, (True, True))
+            alike = self._differing(found, (False, False)) if self.complete else both
+            ways = [alike, both]
+            if both[1] - alike[1] > -LOG_PRIOR:     # else neither can pay for itself
+                ways += [self._differing(found, may) for may in ((True, False), (False, True))]
+            self._weighed[found] = max(ways, key=lambda one: one[1] + one[2])
         return self._weighed[found]
 
     def _differing(self, found: Fit, may: tuple[bool, bool]) -> tuple[Weighing, float, float]:
+        """The same where runs may differ in their share of the command, and in a constant."""
         own = replace(self.weighing, differ=found.most_likely_differ(self.weighing, may))
         price = found.log_narrowing(own) + (LOG_PRIOR if self.complete else 0.0)
         return own, found.log_evidence(own), float(price @ may)
