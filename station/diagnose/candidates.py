@@ -43,7 +43,8 @@ class Candidate:
         if phase is None:
             return [(guess,) for guess in self.guesses]
         first = {tuple(v for name, v in guess.items() if name != phase): guess for guess in reversed(self.guesses)}
-        return [(guess, {**guess, phase: wrapped(guess[phase] + 0.5 * math.pi)}) for guess in reversed(first.values())]
+        return [(guess, {**guess, phase: math.remainder(guess[phase] + 0.25 * math.tau, math.tau)})
+                for guess in reversed(first.values())]
 
     @property
     def phase(self) -> str | None:
@@ -62,11 +63,6 @@ class Candidate:
         base = fit.space
         space = parameters(data, base.hypothesis + self.hypothesis, {**base.values(base.mean), self.key: guess})
         return space, space.carried(base, fit.x, {self.key: guess})
-
-
-def wrapped(angle: float) -> float:
-    """The same angle within [-pi, pi], rad."""
-    return math.remainder(angle, 2.0 * math.pi)
 
 
 def candidates(rig: Rig) -> list[Candidate]:

@@ -18,7 +18,7 @@ from itertools import combinations
 
 import numpy as np
 
-from station.diagnose.candidates import Candidate, wrapped
+from station.diagnose.candidates import Candidate
 from station.diagnose.linearised import Change, Linearised
 from station.estimation.dataset import SEVERAL
 from station.estimation.least_squares import DIVERGED, Fit
@@ -80,7 +80,7 @@ class _Row:
     def along(self, sizes: np.ndarray, gain: float) -> Screened:
         """The same cause where its components have these sizes (m)."""
         return replace(self.screened, guess=turned(self.screened.candidate, self.guess, sizes), gain=gain,
-                       size=self.factor * float(np.hypot(*sizes) if len(sizes) == 2 else sizes[0]))
+                       size=self.factor * math.hypot(*sizes))
 
 
 def scaled(candidate: Candidate, guess: dict[str, float], factor: float) -> dict[str, float]:
@@ -98,7 +98,7 @@ def turned(candidate: Candidate, guess: dict[str, float], sizes: np.ndarray) -> 
     phase = candidate.phase
     if phase is None:
         return guess
-    return {**guess, phase: wrapped(guess[phase] + math.atan2(sizes[1], sizes[0]))}
+    return {**guess, phase: math.remainder(guess[phase] + math.atan2(sizes[1], sizes[0]), math.tau)}
 
 
 def _direction(gram: np.ndarray, slope: np.ndarray) -> np.ndarray:

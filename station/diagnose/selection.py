@@ -19,11 +19,11 @@ import numpy as np
 from station.diagnose.candidates import Candidate, candidates
 from station.diagnose.remainder import remainder
 from station.diagnose.screening import Screened, screen
-from station.diagnose.starts import attempted, far_starts, rigid_starts
+from station.diagnose.starts import Start, attempted, far_starts, rigid_starts
 from station.diagnose.thresholds import CLOSE, LOG_PRIOR, LOG_PRIOR_PARAMETER, WORTH_A_FIT
 from station.estimation.constants import base_fit, in_step, settled
 from station.estimation.least_squares import FAR, Fit, fit, inherited, weighing_of
-from station.estimation.likelihood import LEAST_DIFFERENCE, Weighing
+from station.estimation.likelihood import Weighing
 from station.estimation.parameters import Causes, Hypothesis, Key, Parameters, Sizes, parameters
 from station.estimation.prediction import COARSE, FINE, SEARCH, Accuracy, Predictor
 from station.model.effects import Stage
@@ -65,8 +65,6 @@ class Selection:
     predictor: Predictor
     effort: Effort
     weighing: Weighing
-    beginnings: Fit
-    """The rig alone, fitted to the beginnings of its runs (``in_step``)."""
     fits: dict[Causes, Fit] = field(default_factory=dict)
     screened: list[Screened] = field(default_factory=list)
     """Of the first rung."""
@@ -91,11 +89,11 @@ class Selection:
 
     def _own(self, found: Fit) -> tuple[Weighing, float, float]:
         if found not in self._weighed:
-            both = self._differing(found, (True, True))
-            alike = self._differing(found, (False, False)) if self.complete else both
-            ways = [alike, both]
-            if both[1] - alike[1] > -LOG_PRIOR:     # else neither can pay for itself
-                ways += [self._differing(found, may) for may in ((True, False), (False, True))]
+            ways = [both := self._differing(found, (True, True))]
+            if self.complete:
+                ways.insert(0, alike := self._differing(found, (False, False)))
+                if both[1] - alike[1] > -LOG_PRIOR:     # else neither can pay for itself
+                    ways += [self._differing(found, may) for may in ((True, False), (False, True))]
             self._weighed[found] = max(ways, key=lambda one: one[1] + one[2])
         return self._weighed[found]
 
@@ -149,11 +147,11 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
     alone = parameters(predictor.data, Hypothesis(), {})
     beginnings = in_step(predictor, alone, alone.mean)
     parent = base_fit(predictor, beginnings)
-    search = Selection(predictor, effort, parent.weighing, beginnings,
-                       complete=remainder(predictor, parent).is_noise)
+    search = Selection(predictor, effort, parent.weighing, complete=remainder(predictor, parent).is_noise)
     search.keep(parent)
     parent = _with_derivatives(search, search.fits[parent.key])
     pool = candidates(predictor.data.rig)
+    far = far_starts(predictor, pool, effort.finished, beginnings)
     climbed: set[Causes] = set()
     while parent.key not in climbed:
         climbed.add(parent.key)
@@ -161,7 +159,7 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
         if rung > 0 and predictor.data.clock is None:
             # Beside another cause a clock is but one more way to move the constants, which no data tell from theirs.
             pool = [c for c in pool if c.effect is None or c.effect.stage is not Stage.CLOCK]
-        _climb(search, parent, [c for c in pool if c.key not in parent.key], progress)
+        _climb(search, parent, [c for c in pool if c.key not in parent.key], [] if rung else far, progress)
         best = search.best()
         if len(best.key) <= rung and 2.0 * (search.score(best) - search.score(search.fits[parent.key])) < WORTH_A_FIT:
             break  # the same set, or one that these runs do not tell from it
@@ -188,9 +186,11 @@ def _with_derivatives(search: Selection, found: Fit) -> Fit:
     return again
 
 
-def _climb(search: Selection, parent: Fit, pool: list[Candidate], progress: Callable[[str, float], None]) -> None:
-    """Fit the most promising further causes on top of a parent that holds fewer than a set may, and those that could
-    stand in the place of one that it has: what was added first need not be the best beside what came later."""
+def _climb(search: Selection, parent: Fit, pool: list[Candidate], far: list[Start],
+           progress: Callable[[str, float], None]) -> None:
+    """Fit the most promising further causes on top of a parent that holds fewer than a set may, from where screening
+    puts them and ``far`` from nominal, and those that could stand in the place of one that it has: what was added first
+    need not be the best beside what came later."""
     predictor, effort, rung = search.predictor, search.effort, len(parent.key)
     begin, end = (min(0.1 + 0.7 * done / (effort.rungs + 1), 0.8) for done in (rung, rung + 1))
 
@@ -209,8 +209,7 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], progress: Call
         label = " + ".join(one.candidate.hypothesis.label for one in start)
         jobs.append((label, start[0].gain if less is None else -np.inf, partial(begun, predictor, parent, start, less)))
 
-    far = rigid_starts(predictor, parent, pool) if grows and not content else []
-    for start in far if parent.key else far + far_starts(predictor, pool, effort.finished, search.beginnings):
+    for start in [*(rigid_starts(predictor, parent, pool) if grows and not content else []), *far]:
         jobs.append((f"{start.candidate.hypothesis.label}, far from nominal", -np.inf, partial(
             attempted, predictor, start.space, search.weighing, start.x, start.own, tolerance=0.5, first=FAR)))
     for less in sorted({exchange.less for exchange in exchanges}):
@@ -304,9 +303,10 @@ def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
         return attempted(search.predictor, space, replace(search.weighing, differ=differ), x, found.own, **THOROUGH,
                          to_the_end=to_the_end)
 
-    alike = (LEAST_DIFFERENCE, LEAST_DIFFERENCE)
-    jobs = [(found, differ) for found in fits
-            for differ in dict.fromkeys([search.own_weighing(found).differ, *[alike] * search.complete])]
+    jobs = []
+    for found in fits:
+        own, alike = search.own_weighing(found).differ, found.most_likely_differ(search.weighing, (False, False))
+        jobs += [(found, own), (found, alike)] if search.complete and alike != own else [(found, own)]
     for k, ((old, _), found) in enumerate(zip(jobs, search.predictor.pool.map(again, jobs), strict=True)):
         if found is not None:
             search.keep(found, old)

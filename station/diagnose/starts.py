@@ -84,7 +84,7 @@ def far_starts(predictor: Predictor, pool: Sequence[Candidate], most: int, alone
     quadratic = alone.normal(alone.weighing)
     promised = sorted((freed(predictor, alone, c, *quadratic) for c in constants), key=lambda one: -one.gain)
     tried += [(one.candidate, 0.0) for one in promised[: most // 2]
-              if one.gain > -2.0 * LOG_PRIOR and one.candidate not in {candidate for candidate, _ in tried}]
+              if one.gain > -2.0 * LOG_PRIOR and one.candidate not in [candidate for candidate, _ in tried]]
 
     def begun(row: tuple[Candidate, float]) -> Start | None:
         candidate, sigmas = row

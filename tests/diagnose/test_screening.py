@@ -68,7 +68,7 @@ def test_of_a_single_cause_the_same_law_elsewhere_alone_is_looked_at() -> None:
 
 @pytest.mark.parametrize("angle", [0.8, 2.4, -0.9, -2.3])
 def test_an_angle_between_the_guesses_is_read_off_two_of_them(angle: float) -> None:
-    """A sine of any phase is made of two; what it promises is no less than a fit from there finds."""
+    """A sine of any phase is made of two."""
     hidden = {"effect": "gravity_tilt", "at": "base", "torque": 0.004, "angle": angle}
     runs = make_case(8064, [hidden], nominal=TWO_MASS, count=5).runs
     with predictions(Rig.model_validate(TWO_MASS), runs) as predictor:

@@ -38,7 +38,7 @@ def found(evidence: float, *effects: tuple, constants: tuple[str, ...] = (), nar
 
 def searching(clock: tuple[float, float] | None = None) -> Selection:
     return Selection(SimpleNamespace(data=SimpleNamespace(clock=clock)), EFFORTS["quick"],
-                     Weighing(np.ones((1, 1)), 1.0), found(0.0))
+                     Weighing(np.ones((1, 1)), 1.0))
 
 
 def test_each_cause_and_each_further_parameter_costs_its_prior() -> None:
