@@ -5,11 +5,12 @@ at nominal lead into the nearest.  So the objective is worked out along each con
 its prior, on stretches after the first command that are too short for the beam to fall out of step.  Where others must
 move with it a constant alone shows nothing, and from whole runs in a side valley nothing points to it either; there
 counts what the quadratic of such stretches promises of setting it free.  A joint that yields too much hides one that
-does not yield at all, whatever the constant alone would do: it is begun stiff in any case.
+does not yield at all, whatever the constant alone would do: it is held stiff until the others have followed.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -22,7 +23,7 @@ from station.diagnose.screening import freed
 from station.diagnose.thresholds import LOG_PRIOR, WORTH_A_FIT
 from station.estimation.constants import FIRST_SECONDS, in_step, unknown
 from station.estimation.dataset import first_seconds
-from station.estimation.least_squares import DIVERGED, Fit, fit
+from station.estimation.least_squares import DIVERGED, Fit, fit, objective
 from station.estimation.likelihood import Weighing, cost
 from station.estimation.parameters import WIDE, Parameters, parameters
 from station.estimation.prediction import Predictor
@@ -30,8 +31,8 @@ from station.estimation.prediction import Predictor
 JOINTS = ("drive.stiffness", "clamp.stiffness")
 """Constants of which a rig's own may be as good as infinite."""
 RIGID = (1.5, 3.0)
-"""Sigmas of a free constant's prior above nominal from which fits of such a joint begin: 9 and 90 times as stiff;
-beside another cause the last alone."""
+"""Sigmas of a free constant's prior above nominal at which such a joint is held: 9 and 90 times as stiff; beside
+another cause the last alone."""
 AWAY = np.arange(-6, 7) / 2.0
 """Sigmas of that prior from nominal at which the objective is worked out: steps of a factor of 2.1."""
 SECONDS = FIRST_SECONDS[1]
@@ -58,17 +59,62 @@ def attempted(predictor: Predictor, space: Parameters, weighing: Weighing, x: np
     return None
 
 
-def rigid_starts(predictor: Predictor, parent: Fit, pool: Sequence[Candidate]) -> list[Start]:
-    """A parent's hypothesis with a joint as good as rigid.
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """A hypothesis' other parameters, fitted while a constant is held so many sigmas of ``WIDE`` from nominal."""
 
-    The other constants begin at nominal: what the parent bent to make up for the joint leads back to it.
+    candidate: Candidate
+    sigmas: float
+    predictor: Predictor
+    """Of the rig with that constant."""
+    space: Parameters
+    """Without it."""
+    x: np.ndarray
+    own: np.ndarray
+    objective: float = math.inf
+
+    def followed(self, seconds: Sequence[float]) -> _Held:
+        """The same, fitted to longer beginnings of the runs."""
+        with suppress(*DIVERGED):
+            found = in_step(self.predictor, self.space, self.x, self.own, seconds, parallel=False)
+            return replace(self, x=found.x, own=found.own, objective=found.objective)
+        return replace(self, objective=math.inf)
+
+
+def rigid_starts(predictor: Predictor, parent: Fit, pool: Sequence[Candidate]) -> list[Start]:
+    """A parent's hypothesis with a joint as good as rigid, once for each joint with which longer and longer beginnings
+    of the runs are met better than by the parent where it stands.
+
+    The joint is held while the others are fitted ``in_step``, from nominal where they are no causes: what the parent
+    bent to make up for it leads back to a joint that yields, and so does one that is free before the others follow.
+    Judged is the longest horizon alone, as in ``_profiles``.
     """
-    found = []
-    for candidate in (c for c in pool if c.constant in JOINTS):
-        space, x = candidate.beside(predictor.data, parent, {})
-        found += [Start(candidate, space, _placed(space, candidate, sigmas, x), parent.own)
-                  for sigmas in (RIGID[-1:] if parent.key else RIGID)]
-    return found
+    slow, sizes = replace(predictor, observers=predictor.observers[-1:]), parent.space.values(parent.space.mean)
+
+    def held(candidate: Candidate, sigmas: float) -> _Held:
+        path, nominal = candidate.hypothesis.constants[0], slow.data.rig.constants()
+        rig = slow.data.rig.with_constants({path: nominal[path] * math.exp(sigmas * WIDE)})
+        stiff = slow.on(replace(slow.data, rig=rig))
+        space = parameters(stiff.data, parent.space.hypothesis, sizes, fixed=(path,))
+        x = space.carried(parent.space, parent.x)
+        logs = np.where(np.isin(space.paths, space.hypothesis.constants), space.logs(x), 0.0)
+        x[space.parts["constants"]] = np.linalg.solve(space.root, logs)
+        return _Held(candidate, sigmas, stiff, space, x, slow.data.own)
+
+    tried = [held(c, sigmas) for c in pool if c.constant in JOINTS
+             for sigmas in (RIGID[-1:] if parent.key else RIGID)]
+    for seconds in (FIRST_SECONDS[:2], FIRST_SECONDS[2:]):
+        part = slow.on(first_seconds(slow.data, seconds[-1]))
+        least = objective(part, parent.space, unknown(part), parent.x, parent.own)
+        rows = list(predictor.pool.map(lambda one, seconds=seconds: one.followed(seconds), tried))
+        best = {one.candidate: one for one in sorted(rows, key=lambda one: -one.objective)}
+        tried = [one for one in best.values() if one.objective < least]
+
+    def start(one: _Held) -> Start:
+        space = parameters(predictor.data, parent.space.hypothesis + one.candidate.hypothesis, sizes)
+        x = _placed(space, one.candidate, one.sigmas, space.carried(one.space, one.x))
+        return Start(one.candidate, space, x, one.own)
+    return [start(one) for one in tried]
 
 
 def far_starts(predictor: Predictor, pool: Sequence[Candidate], most: int, alone: Fit) -> list[Start]:
@@ -124,8 +170,8 @@ def _cost(part: Predictor, space: Parameters, x: np.ndarray, weighing: Weighing)
 
 
 def _placed(space: Parameters, candidate: Candidate, sigmas: float, x: np.ndarray) -> np.ndarray:
-    """``x`` (p) with all constants at nominal but the candidate's."""
-    x = x.copy()
-    logs = sigmas * WIDE * np.array([path == candidate.constant for path in space.paths])
+    """``x`` (p) with the candidate's constant so far from nominal."""
+    x, logs = x.copy(), space.logs(x)
+    logs[space.paths.index(candidate.hypothesis.constants[0])] = sigmas * WIDE
     x[space.parts["constants"]] = np.linalg.solve(space.root, logs)
     return x

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -49,13 +49,15 @@ def descended(predictor: Predictor, space: Parameters, x: np.ndarray, begun: Fit
     return min(found, key=lambda f: f.objective)
 
 
-def in_step(predictor: Predictor, space: Parameters, x: np.ndarray, parallel: bool = True) -> Fit:
-    """A fit from ``x`` (p) to longer and longer stretches after each run's first command: to the longest of them.
+def in_step(predictor: Predictor, space: Parameters, x: np.ndarray, own: np.ndarray | None = None,
+            beginnings: Sequence[float] = FIRST_SECONDS, *, parallel: bool = True) -> Fit:
+    """A fit from ``x`` (p) and ``own`` (runs, 4) to longer and longer stretches after each run's first command, s: to
+    the longest of them.
 
     ArithmeticError: ``x`` does not simulate.
     """
-    own = predictor.data.own
-    for seconds in FIRST_SECONDS:
+    own = predictor.data.own if own is None else own
+    for seconds in beginnings:
         part = predictor.on(first_seconds(predictor.data, seconds))
         tolerance = WORTH if seconds == FIRST_SECONDS[-1] else ROUGH
         found = fit(part, space, unknown(part), x, own, tolerance=tolerance, iterations=12, parallel=parallel)

@@ -414,6 +414,11 @@ def own_steps(data: Dataset) -> np.ndarray:
     return np.array([0.5 * data.rig.angle_per_count, OFFSET_STEP, STEP, STEP * max(data.rms_command, 1.0)])
 
 
+def objective(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarray, own: np.ndarray) -> float:
+    """-2 ln of the posterior, up to a constant, at ``x`` (p) and ``own`` (runs, 4); infinite where lost."""
+    return _Descent(predictor, space, weighing, np.ones(len(predictor.data.runs)), False).at(x, own).objective
+
+
 def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarray, own: np.ndarray | None = None, *,
         iterations: int = 25, tolerance: float = 0.1, runs: np.ndarray | None = None,
         jacobian: list[np.ndarray] | None = None, renewals: int = 100, parallel: bool = True,

@@ -191,7 +191,8 @@ class Parameters:
     def carried(self, other: Parameters, x: np.ndarray, start: Sizes | None = None) -> np.ndarray:
         """Another hypothesis' values in these parameters; what is new begins at ``start``, else at its prior mean."""
         out = self.mean.copy()
-        out[self.parts["constants"]] = np.linalg.solve(self.root, other.logs(x))
+        logs = dict(zip(other.paths, other.logs(x), strict=True))
+        out[self.parts["constants"]] = np.linalg.solve(self.root, [logs.get(path, 0.0) for path in self.paths])
         sizes = {**other.values(x), **(start or {})}
         for i, coordinate in enumerate(self.coordinates, self.parts["effects"].start):
             cls, at = self.hypothesis.effects[coordinate.effect]
