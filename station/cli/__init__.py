@@ -7,9 +7,10 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from types import FrameType
+from types import CodeType, FrameType
 
 from station.errors import StationError
 
@@ -61,6 +62,14 @@ def motor_driven() -> Iterator[None]:
         raise
 
 
+def _runs(code: CodeType) -> bool:
+    """Whether the main thread is in some code."""
+    frame = sys._current_frames().get(threading.main_thread().ident or 0)
+    while frame is not None and frame.f_code is not code:
+        frame = frame.f_back
+    return frame is not None
+
+
 class _Interruption:
     """Ctrl-C, told in one line whatever it meets: an import that it turns into another error, a callback that
     swallows it.  Only where this is the main thread and nobody else handles it."""
@@ -88,9 +97,15 @@ class _Interruption:
 
     def _unraisable(self, lost: sys.UnraisableHookArgs) -> None:
         if isinstance(lost.exc_value, KeyboardInterrupt):
-            threading.Timer(1e-3, _thread.interrupt_main).start()  # not here, where it would be swallowed again
+            threading.Thread(target=self._again, daemon=True).start()
         else:
             self._hook(lost)
+
+    def _again(self) -> None:
+        """Interrupt once more, when the main thread is out of the hook: there it would be swallowed again."""
+        while _runs(_Interruption._unraisable.__code__):
+            time.sleep(1e-3)
+        _thread.interrupt_main()
 
     def end(self) -> None:
         """As it was before."""
