@@ -30,9 +30,8 @@ from station.estimation.prediction import Predictor
 
 JOINTS = ("drive.stiffness", "clamp.stiffness")
 """Constants of which a rig's own may be as good as infinite."""
-RIGID = (1.5, 3.0)
-"""Sigmas of a free constant's prior above nominal at which such a joint is held: 9 and 90 times as stiff; beside
-another cause the last alone."""
+RIGID = (1.5, 3.0, 4.5)
+"""Sigmas of a free constant's prior above nominal at which such a joint is held: 9, 90 and 850 times as stiff."""
 AWAY = np.arange(-6, 7) / 2.0
 """Sigmas of that prior from nominal at which the objective is worked out: steps of a factor of 2.1."""
 SECONDS = FIRST_SECONDS[1]
@@ -101,8 +100,7 @@ def rigid_starts(predictor: Predictor, parent: Fit, pool: Sequence[Candidate]) -
         x[space.parts["constants"]] = np.linalg.solve(space.root, logs)
         return _Held(candidate, sigmas, stiff, space, x, slow.data.own)
 
-    tried = [held(c, sigmas) for c in pool if c.constant in JOINTS
-             for sigmas in (RIGID[-1:] if parent.key else RIGID)]
+    tried = [held(c, sigmas) for c in pool if c.constant in JOINTS for sigmas in RIGID]
     for seconds in (FIRST_SECONDS[:2], FIRST_SECONDS[2:]):
         part = slow.on(first_seconds(slow.data, seconds[-1]))
         least = objective(part, parent.space, unknown(part), parent.x, parent.own)
