@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -41,7 +42,11 @@ def test_ctrl_c_at_any_moment_of_the_start_prints_one_line(wait, tmp_path):
     assert err.splitlines()[-1] == "station: interrupted"
 
 
-def test_an_interrupt_that_a_callback_swallows_is_raised_again():
+@pytest.mark.parametrize("busy", [0.0, 0.05])
+def test_an_interrupt_that_a_callback_swallows_is_raised_again(busy, monkeypatch):
+    """However long a busy machine takes to start the thread that raises it: in the hook it would be swallowed again."""
+    plain = threading.Thread.start
+    monkeypatch.setattr(threading.Thread, "start", lambda self: (plain(self), time.sleep(busy)))
     interruption = _Interruption()
     try:
         class Swallows:
