@@ -31,6 +31,9 @@ def diagnose(
     overwrite: Overwrite = False,
 ) -> None:
     """Name what the simulation gets wrong on these runs, how sure that is, and what to test next."""
+    from station.estimation.pool import SIZE, Pool
+
+    Pool(SIZE, "station.diagnose.diagnose")     # the others import what they need while this one does
     from station.diagnose.diagnose import diagnose as find
     from station.rig import load_rig
     from station.view.terminal import print_diagnosis

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -31,6 +28,7 @@ from station.estimation.dataset import canonical_order, dataset
 from station.estimation.least_squares import CANNOT_SIMULATE, DIVERGED
 from station.estimation.observer import observers
 from station.estimation.parameters import Key
+from station.estimation.pool import SIZE, Pool
 from station.estimation.prediction import SEARCH, Predictor, predict_run
 from station.model.simulate import build
 from station.rig import Rig
@@ -39,15 +37,10 @@ from station.runs.run import Run
 if TYPE_CHECKING:
     from station.pictures.evidence import Evidence
 
-THREADS = 2
-TURN = 1e-4
-"""Seconds after which a thread that runs Python lets another one do so: what a short prediction takes (Python's own
-5 ms leave the threads idle by turns)."""
-
 
 def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
-             progress: Callable[[str, float], None] | None = None, threads: int = THREADS) -> DiagnosisResult:
-    """Diagnose a rig from its runs; more ``threads`` than two gain little.
+             progress: Callable[[str, float], None] | None = None, threads: int = SIZE) -> DiagnosisResult:
+    """Diagnose a rig from its runs, by so many ``threads``, each but the first with a process of its own.
 
     The same runs give the same answer, whatever their order, the number of threads or the linear algebra's: runs are
     taken in the order of their content, and linear algebra by one thread.  UsageError for an unknown effort; WorkError
@@ -57,24 +50,14 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     if effort not in EFFORTS:
         raise UsageError(f"--effort: {effort!r} is none of {', '.join(EFFORTS)}")
     order = canonical_order(runs) if runs else []
-    with threadpool_limits(1), _taking_turns(), ThreadPoolExecutor(threads) as pool:
+    pool = Pool(threads, __name__)
+    with threadpool_limits(1):
         found = _diagnose(rig, [runs[i] for i in order], effort, progress or (lambda text, share: None), pool)
     return _in_order_of(found, [runs[i].name for i in order], order, time.perf_counter() - begun)
 
 
-@contextmanager
-def _taking_turns() -> Iterator[None]:
-    """Let no thread that comes back from compiled code wait for Python longer than that code took."""
-    before = sys.getswitchinterval()
-    sys.setswitchinterval(TURN)
-    try:
-        yield
-    finally:
-        sys.setswitchinterval(before)
-
-
 def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str, float], None],
-              pool: ThreadPoolExecutor) -> DiagnosisResult:
+              pool: Pool) -> DiagnosisResult:
     runs, windows = _usable(rig, given)
     data = dataset(rig, runs, windows)
     predictor = Predictor(data, observers(data.rig, data.noise[0]), pool, *EFFORTS[effort].accuracies)
@@ -122,17 +105,18 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
         ranking=[Ranked(effect=r.effect, at=r.at, probability=min(r.probability, 1.0), note=r.note) for r in ranked])
     drawn = [run for run, warm in zip(runs, data.warm, strict=True) if not warm]
     drawn = [replace(run, name=given[0].name) for run in drawn[:1]] if windows else drawn
-    draw = partial(_drawn, refit_rig, extended, drawn, [(c.effect, c.at) for c in causes])
+    draw = partial(_drawn, refit_rig, extended, drawn, [(c.effect, c.at) for c in causes], pool)
     report("done", 1.0)
     return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, ranked, draw, constants,
                            notes(rig, search, finding, judged), 0.0, choice.plan, choice.unseen, choice.prediction,
                            [row.equivalence.sentence for row in known] if causes else [])
 
 
-def _drawn(rig: Rig, extended: Rig, runs: Sequence[Run], causes: Sequence[tuple[str, str]]) -> list[Evidence]:
+def _drawn(rig: Rig, extended: Rig, runs: Sequence[Run], causes: Sequence[tuple[str, str]], pool: Pool,
+           ) -> list[Evidence]:
     from station.pictures.evidence import evidence  # slow to import, and not always wanted
 
-    with threadpool_limits(1), ThreadPoolExecutor(THREADS) as pool:
+    with threadpool_limits(1):
         return evidence(rig, extended, runs, causes, pool) if runs else []
 
 

@@ -21,9 +21,8 @@ Of tests of nearly equal worth the shorter and gentler one is taken.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -39,6 +38,7 @@ from station.estimation.least_squares import Fit
 from station.estimation.likelihood import NUISANCES
 from station.estimation.noise import ACCEL_DEFAULT, QUANTISATION, correlation_time, rounding_shares
 from station.estimation.parameters import Key, prior_covariance
+from station.estimation.pool import SIZE, Pool
 from station.estimation.prediction import SEARCH
 from station.model.effects import Effect, Stage, catalogue
 from station.model.simulate import Model, Simulation, build, simulate_model
@@ -141,7 +141,7 @@ Judge = Callable[[list[Trial]], list[Worth]]
 class Planner:
     """The noise and the rig that trials are judged with."""
 
-    def __init__(self, rig: Rig, sigma: np.ndarray, pool: Executor, runs: Sequence[Run] = ()) -> None:
+    def __init__(self, rig: Rig, sigma: np.ndarray, pool: Pool, runs: Sequence[Run] = ()) -> None:
         """``sigma``: standard deviation of encoder and accelerometer (counts), the latter left out without one."""
         self.rig, self.sigma, self.pool = rig, sigma, pool
         self.runs = sorted(runs, key=len, reverse=True)
@@ -337,13 +337,17 @@ def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]
     first = base.model(base.x)
     k, m = base.axes.shape[1], len(effects)
     nothing = Blocks(np.zeros((k, k)), np.zeros((k, m)), np.zeros((m, m)))
-    models = list(planner.pool.map(lambda row: _built(first.rig.with_effects((*first.rig.effects, row[1]))), effects))
+    rigs = [first.rig.with_effects((*first.rig.effects, effect)) for _, effect in effects]
 
     def looked(runs: Sequence[Run]) -> list[tuple[Forecast, list[np.ndarray], Blocks]]:
         """Per run the forecast, the outputs with each effect, and the blocks."""
         here = planner.forecasts(base, runs)
-        changed = list(planner.pool.map(
-            lambda model: [planner.outputs(simulate_model(model, run, rounding=False)) for run in runs], models))
+
+        def outputs_of(rig: Rig) -> list[np.ndarray]:
+            model = _built(rig)
+            return [planner.outputs(simulate_model(model, run, rounding=False)) for run in runs]
+
+        changed = list(planner.pool.map(outputs_of, rigs))
         found = []
         for r, run in enumerate(runs):
             outputs, blocks = [every[r] for every in changed], nothing
@@ -392,7 +396,7 @@ def belief(search: Selection, found: Fit) -> Belief:
     values, vectors = np.linalg.eigh(found.covariance)
     widest = np.argsort(-values)[:AXES]
     axes = vectors[:, widest] * np.sqrt(np.maximum(values[widest], 0.0))
-    return Belief(_words(found.key), found.x, axes, lambda x: search.predictor.model(found.space, x))
+    return Belief(_words(found.key), found.x, axes, partial(search.predictor.model, found.space))
 
 
 def _addable(rig: Rig, held: frozenset[Key] = frozenset()) -> list[tuple[str, Effect]]:
@@ -430,7 +434,7 @@ def choose(search: Selection, odds: Odds, verdict: Verdict) -> Choice:
     # The rig as fitted without its effects, which cost time, and as uncertain as before any run.
     fit, space = search.fits[best], search.fits[frozenset()].space
     plain = Belief("the rig as fitted", space.carried(fit.space, fit.x), np.eye(space.size),
-                   lambda x: search.predictor.model(space, x))
+                   partial(search.predictor.model, space))
     judge = showing(planner, plain, _addable(data.rig, best), [belief(search, fit)])
     plan = _choice(planner.best(judge, trials(data.rig)), planner)
     if undecidable is not None:
@@ -451,10 +455,9 @@ def first_test(rig: Rig) -> Choice:
     accel = [np.hypot(ACCEL_DEFAULT, np.sqrt(QUANTISATION))] if rig.accelerometer is not None else []
     base = Belief("the rig as its file says", np.zeros(len(paths)), np.eye(len(paths)), model)
     drawn = [replace(base, x=x) for x in np.random.default_rng(0).normal(size=(PRIOR_DRAWS, len(paths)))]
-    with ThreadPoolExecutor(2) as pool:
-        planner = Planner(rig, np.array([np.sqrt(QUANTISATION), *accel]), pool)
-        found = (planner.best(showing(planner, base, _addable(rig), drawn, PRIOR_REACH), trials(rig))
-                 or planner.best(showing(planner, base, _addable(rig)), trials(rig)))
+    planner = Planner(rig, np.array([np.sqrt(QUANTISATION), *accel]), Pool(SIZE, __name__))
+    found = (planner.best(showing(planner, base, _addable(rig), drawn, PRIOR_REACH), trials(rig))
+             or planner.best(showing(planner, base, _addable(rig)), trials(rig)))
     return _choice(found, planner)
 
 

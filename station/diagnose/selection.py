@@ -8,7 +8,7 @@ off the best set and is the same for all sets that are compared; with it the sco
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -68,6 +68,8 @@ class Selection:
     fits: dict[Causes, Fit] = field(default_factory=dict)
     screened: list[Screened] = field(default_factory=list)
     """Of the first rung."""
+    stiffest: dict[str, float] = field(default_factory=dict)
+    """By joint, how many sigmas above nominal it was held best where it hardly yields (``rigid_starts``)."""
     complete: bool = False
     """Whether what the weighing was read off leaves nothing but noise."""
     _weighed: WeakKeyDictionary[Fit, tuple[Weighing, float, float]] = field(default_factory=WeakKeyDictionary)
@@ -191,7 +193,7 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], far: list[Star
     """Fit the most promising further causes on top of a parent that holds fewer than a set may, from where screening
     puts them and ``far`` from nominal, and those that could stand in the place of one that it has: what was added first
     need not be the best beside what came later."""
-    predictor, effort, rung = search.predictor, search.effort, len(parent.key)
+    predictor, weighing, effort, rung = search.predictor, search.weighing, search.effort, len(parent.key)
     begin, end = (min(0.1 + 0.7 * done / (effort.rungs + 1), 0.8) for done in (rung, rung + 1))
 
     def told(text: str, share: float) -> None:
@@ -203,33 +205,41 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], far: list[Star
     worth = -2.0 * LOG_PRIOR if content else WORTH_A_FIT
     if not search.screened:
         search.screened = screened
-    jobs: list[tuple[str, float, Callable[[], Fit | None]]] = []
+    jobs: list[tuple[str, float, Start | tuple[tuple[Screened, ...], Key | None]]] = []
 
     def add(start: tuple[Screened, ...], less: Key | None = None) -> None:
         label = " + ".join(one.candidate.hypothesis.label for one in start)
-        jobs.append((label, start[0].gain if less is None else -np.inf, partial(begun, predictor, parent, start, less)))
+        jobs.append((label, start[0].gain if less is None else -np.inf, (start, less)))
 
-    for start in [*(rigid_starts(predictor, parent, pool) if grows and not content else []), *far]:
-        jobs.append((f"{start.candidate.hypothesis.label}, far from nominal", -np.inf, partial(
-            attempted, predictor, start.space, search.weighing, start.x, start.own, tolerance=0.5, first=FAR)))
+    def tried(start: Start | tuple[tuple[Screened, ...], Key | None]) -> Fit | None:
+        if isinstance(start, Start):
+            return attempted(predictor, start.space, weighing, start.x, start.own, tolerance=0.5, first=FAR)
+        return begun(predictor, parent, *start)
+
+    rigid: list[Start] = []
+    if grows and not content:
+        rigid, search.stiffest = rigid_starts(predictor, parent, pool, search.stiffest)
+    for far_start in [*rigid, *far]:
+        jobs.append((f"{far_start.candidate.hypothesis.label}, far from nominal", -np.inf, far_start))
     for less in sorted({exchange.less for exchange in exchanges}):
         others = [e.more for e in exchanges if e.less == less and e.more.gain > WORTH_A_FIT]
         moved = [one for one in others[effort.exchanged:] if one.candidate.key[0] == less[0]]
-        for one in [*others[: effort.exchanged], *moved]:
-            add((one,), less)
+        for other in [*others[: effort.exchanged], *moved]:
+            add((other,), less)
     begun_from: Counter[Key] = Counter()
-    for one in screened if grows else []:
-        key = one.candidate.key
-        if (one.gain >= worth and (key in begun_from or len(begun_from) < effort.tried)
-                and begun_from[key] < one.candidate.starts):
+    for cause in screened if grows else []:
+        key = cause.candidate.key
+        if (cause.gain >= worth and (key in begun_from or len(begun_from) < effort.tried)
+                and begun_from[key] < cause.candidate.starts):
             begun_from[key] += 1
-            add((one,))
+            add((cause,))
     for pair in pairs[: effort.pairs] if grows and not content else []:
         if pair[0].gain > WORTH_A_FIT:
             add(pair)
     found: dict[Causes, Fit] = {}
     expected: dict[Causes, float] = {}
-    for k, ((label, gain, _), one) in enumerate(zip(jobs, predictor.pool.map(lambda job: job[2](), jobs), strict=True)):
+    ends = predictor.pool.map(tried, [start for _, _, start in jobs])
+    for k, ((label, gain, _), one) in enumerate(zip(jobs, ends, strict=True)):
         told(f"tried {label}", 0.6 * (k + 1) / len(jobs))
         if one is not None:
             search.keep(one)
@@ -297,17 +307,19 @@ def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
     Where a set may do without (``Selection.evidence``) it is fitted so, too: what runs differ by stood in for its
     causes, and about that fit the runs do differ.
     """
+    predictor, weighing = search.predictor, search.weighing
+
     def again(job: tuple[Fit, tuple[float, float]]) -> Fit | None:
         found, differ = job
-        space, x = centred(search.predictor, found)
-        return attempted(search.predictor, space, replace(search.weighing, differ=differ), x, found.own, **THOROUGH,
+        space, x = centred(predictor, found)
+        return attempted(predictor, space, replace(weighing, differ=differ), x, found.own, **THOROUGH,
                          to_the_end=to_the_end)
 
     jobs = []
     for found in fits:
         own, alike = search.own_weighing(found).differ, found.most_likely_differ(search.weighing, (False, False))
         jobs += [(found, own), (found, alike)] if search.complete and alike != own else [(found, own)]
-    for k, ((old, _), found) in enumerate(zip(jobs, search.predictor.pool.map(again, jobs), strict=True)):
+    for k, ((old, _), found) in enumerate(zip(jobs, predictor.pool.map(again, jobs), strict=True)):
         if found is not None:
             search.keep(found, old)
             told((k + 1) / len(jobs), found.space.hypothesis.label)
@@ -315,31 +327,33 @@ def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
 
 def _look_back(search: Selection, found: Fit) -> None:
     """Fit every set with one cause less, from where the whole set ended: each cause must hold against its absence."""
-    for one in search.predictor.pool.map(lambda cause: _reduced(search, found, found.key - {cause}),
-                                         found.space.hypothesis.causes):
-        if one is not None:
-            search.keep(one)
+    _keep_reduced(search, found, [found.key - {cause} for cause in found.space.hypothesis.causes])
 
 
-def _reduced(search: Selection, found: Fit, causes: Causes) -> Fit | None:
-    """Some of a set's causes alone, fitted from where the whole set ended; None where that does not simulate."""
-    hypothesis = found.space.hypothesis
-    for cause in found.key - causes:
-        hypothesis = hypothesis.without(cause)
-    space = parameters(search.predictor.data, hypothesis, found.space.values(found.space.mean))
+def _keep_reduced(search: Selection, found: Fit, subsets: Sequence[Causes]) -> None:
+    """Some of a set's causes alone, fitted from where the whole set ended; none that does not simulate."""
+    predictor, found = search.predictor, found.light
     # What explains less may need runs to differ by as much as the rig alone does.
     share, constant = np.maximum(search.own_weighing(found).differ,
                                  search.own_weighing(search.fits[frozenset()]).differ).tolist()
-    return attempted(search.predictor, space, replace(search.weighing, differ=(share, constant)),
-                     space.carried(found.space, found.x), found.own, **THOROUGH)
+    weighing = replace(search.weighing, differ=(share, constant))
+
+    def reduced(causes: Causes) -> Fit | None:
+        hypothesis = found.space.hypothesis
+        for cause in found.key - causes:
+            hypothesis = hypothesis.without(cause)
+        space = parameters(predictor.data, hypothesis, found.space.values(found.space.mean))
+        return attempted(predictor, space, weighing, space.carried(found.space, found.x), found.own, **THOROUGH)
+
+    for one in predictor.pool.map(reduced, subsets):
+        if one is not None:
+            search.keep(one)
 
 
 def fitted(search: Selection, causes: Causes, whole: Causes) -> Fit:
     """The fit of some causes of a set, made where the search has not; of nothing where they do not simulate."""
     if causes not in search.fits:
-        one = _reduced(search, search.fits[whole], causes)
-        if one is not None:
-            search.keep(one)
+        _keep_reduced(search, search.fits[whole], [causes])
     return search.fits.get(causes, search.fits[frozenset()])
 
 

@@ -11,9 +11,11 @@ does not yield at all, whatever the constant alone would do: it is held stiff un
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from operator import methodcaller
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -51,10 +53,9 @@ class Start:
 
 def attempted(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarray, own: np.ndarray,
               **how: Any) -> Fit | None:
-    """A fit from ``x`` (p) and ``own`` (runs, 4) without derivatives, from one of the pool's threads; None where it
-    goes where nothing simulates."""
+    """A fit from ``x`` (p) and ``own`` (runs, 4), without derivatives; None where it goes where nothing simulates."""
     with suppress(*DIVERGED):
-        return fit(predictor, space, weighing, x, own, parallel=False, **how).light
+        return fit(predictor, space, weighing, x, own, **how).light
     return None
 
 
@@ -72,17 +73,19 @@ class _Held:
     own: np.ndarray
     objective: float = math.inf
 
-    def followed(self, seconds: Sequence[float]) -> _Held:
-        """The same, fitted to longer beginnings of the runs."""
+    def followed(self, seconds: Sequence[float]) -> dict[str, Any]:
+        """What changes where it is fitted to longer beginnings of the runs, s."""
         with suppress(*DIVERGED):
-            found = in_step(self.predictor, self.space, self.x, self.own, seconds, parallel=False)
-            return replace(self, x=found.x, own=found.own, objective=found.objective)
-        return replace(self, objective=math.inf)
+            found = in_step(self.predictor, self.space, self.x, self.own, seconds)
+            return {"x": found.x, "own": found.own, "objective": found.objective}
+        return {"objective": math.inf}
 
 
-def rigid_starts(predictor: Predictor, parent: Fit, pool: Sequence[Candidate]) -> list[Start]:
+def rigid_starts(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
+                 before: Mapping[str, float] = MappingProxyType({})) -> tuple[list[Start], dict[str, float]]:
     """A parent's hypothesis with a joint as good as rigid, once for each joint with which longer and longer beginnings
-    of the runs are met better than by the parent where it stands.
+    of the runs are met better than by the parent where it stands; and, by joint, with how many sigmas they are met
+    best: how stiff it is beside other causes need not be looked for again (``before``).
 
     The joint is held while the others are fitted ``in_step``, from nominal where they are no causes: what the parent
     bent to make up for it leads back to a joint that yields, and so does one that is free before the others follow.
@@ -100,19 +103,23 @@ def rigid_starts(predictor: Predictor, parent: Fit, pool: Sequence[Candidate]) -
         x[space.parts["constants"]] = np.linalg.solve(space.root, logs)
         return _Held(candidate, sigmas, stiff, space, x, slow.data.own)
 
-    tried = [held(c, sigmas) for c in pool if c.constant in JOINTS for sigmas in RIGID]
+    tried = [held(c, sigmas) for c in pool if c.constant in JOINTS
+             for sigmas in ((before[c.constant],) if c.constant in before else RIGID)]
+    stiffest: dict[str, float] = {}
     for seconds in (FIRST_SECONDS[:2], FIRST_SECONDS[2:]):
         part = slow.on(first_seconds(slow.data, seconds[-1]))
         least = objective(part, parent.space, unknown(part), parent.x, parent.own)
-        rows = list(predictor.pool.map(lambda one, seconds=seconds: one.followed(seconds), tried))
-        best = {one.candidate: one for one in sorted(rows, key=lambda one: -one.objective)}
+        ends = predictor.pool.map(methodcaller("followed", seconds), tried)
+        tried = [replace(one, **end) for one, end in zip(tried, ends, strict=True)]
+        best = {one.candidate: one for one in sorted(tried, key=lambda one: -one.objective)}
+        stiffest = stiffest or {one.candidate.hypothesis.constants[0]: one.sigmas for one in best.values()}
         tried = [one for one in best.values() if one.objective < least]
 
     def start(one: _Held) -> Start:
         space = parameters(predictor.data, parent.space.hypothesis + one.candidate.hypothesis, sizes)
         x = _placed(space, one.candidate, one.sigmas, space.carried(one.space, one.x))
         return Start(one.candidate, space, x, one.own)
-    return [start(one) for one in tried]
+    return [start(one) for one in tried], stiffest
 
 
 def far_starts(predictor: Predictor, pool: Sequence[Candidate], most: int, alone: Fit) -> list[Start]:
@@ -122,7 +129,7 @@ def far_starts(predictor: Predictor, pool: Sequence[Candidate], most: int, alone
     Tried are ``most`` of those that far from nominal meet them best before anything is fitted, and half as many of
     those whose freedom the quadratic about ``alone`` promises most of, if that can pay for its prior odds.
     """
-    constants = [c for c in pool if c.constant is not None]
+    constants, least = [c for c in pool if c.constant is not None], alone.objective
     rows = sorted(_profiles(predictor, constants), key=lambda row: row[0])
     tried = [(candidate, sigmas) for _, sigmas, candidate in rows if sigmas != 0.0][:most]
     quadratic = alone.normal(alone.weighing)
@@ -134,8 +141,8 @@ def far_starts(predictor: Predictor, pool: Sequence[Candidate], most: int, alone
         candidate, sigmas = row
         space = parameters(predictor.data, candidate.hypothesis, {})
         with suppress(*DIVERGED):
-            found = in_step(predictor, space, _placed(space, candidate, sigmas, space.mean), parallel=False)
-            worth = found.objective < alone.objective - WORTH_A_FIT
+            found = in_step(predictor, space, _placed(space, candidate, sigmas, space.mean))
+            worth = found.objective < least - WORTH_A_FIT
             return Start(candidate, space, found.x, found.own) if worth else None
         return None
 

@@ -103,7 +103,7 @@ def leave_each_out(predictor: Predictor, weighing: Weighing, found: Fit, iterati
         weights[r] = 0.0
         with suppress(*DIVERGED):
             left = fit(predictor, found.space, weighing, found.x, found.own, runs=weights,
-                       jacobian=found.jacobian, parallel=False, iterations=iterations, renewals=2).light
+                       jacobian=found.jacobian, iterations=iterations, renewals=2).light
             return replace(left, x=found.space.with_place_of(left.x, found.x, r))
         return found.light
 

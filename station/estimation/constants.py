@@ -50,7 +50,7 @@ def descended(predictor: Predictor, space: Parameters, x: np.ndarray, begun: Fit
 
 
 def in_step(predictor: Predictor, space: Parameters, x: np.ndarray, own: np.ndarray | None = None,
-            beginnings: Sequence[float] = FIRST_SECONDS, *, parallel: bool = True) -> Fit:
+            beginnings: Sequence[float] = FIRST_SECONDS) -> Fit:
     """A fit from ``x`` (p) and ``own`` (runs, 4) to longer and longer stretches after each run's first command, s: to
     the longest of them.
 
@@ -60,7 +60,7 @@ def in_step(predictor: Predictor, space: Parameters, x: np.ndarray, own: np.ndar
     for seconds in beginnings:
         part = predictor.on(first_seconds(predictor.data, seconds))
         tolerance = WORTH if seconds == FIRST_SECONDS[-1] else ROUGH
-        found = fit(part, space, unknown(part), x, own, tolerance=tolerance, iterations=12, parallel=parallel)
+        found = fit(part, space, unknown(part), x, own, tolerance=tolerance, iterations=12)
         x, own = found.x, found.own
     return found
 

@@ -9,7 +9,7 @@ and computed afresh where that does not lead on.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.optimize import minimize
@@ -292,9 +292,8 @@ MOST_GAINED = 20.0
 class _Descent:
     """What a fit needs: predictions, parameters, weighing and the weights of the runs."""
 
-    def __init__(self, predictor: Predictor, space: Parameters, weighing: Weighing, runs: np.ndarray,
-                 parallel: bool) -> None:
-        self.predictor, self.space, self.weighing, self.runs, self.parallel = predictor, space, weighing, runs, parallel
+    def __init__(self, predictor: Predictor, space: Parameters, weighing: Weighing, runs: np.ndarray) -> None:
+        self.predictor, self.space, self.weighing, self.runs = predictor, space, weighing, runs
         data = self.data = predictor.data
         self.scale = [predictor.scale(r) for r in range(len(data.runs))]
         self.measured = [predictor.measured(r) for r in range(len(data.runs))]
@@ -308,7 +307,7 @@ class _Descent:
 
     def at(self, x: np.ndarray, own: np.ndarray) -> _Point:
         """Predict, and judge."""
-        predicted = self.predictor.runs(self.space, x, own, parallel=self.parallel)
+        predicted = self.predictor.runs(self.space, x, own)
         with np.errstate(over="ignore", invalid="ignore"):
             residuals = [(m - y) * s for m, y, s in zip(self.measured, predicted, self.scale, strict=True)]
             squares = np.array([np.sum(e * e, axis=1) for e in residuals])
@@ -336,6 +335,10 @@ class _Descent:
                 return [(y - y0) * s / step for y, y0, s in zip(moved, here.predicted, self.scale, strict=True)]
         return [np.zeros_like(y) for y in here.predicted]
 
+    def columns(self, here: _Point, some: np.ndarray) -> list[list[np.ndarray]]:
+        """Several of them."""
+        return [self.column(here, k) for k in some.tolist()]
+
     def jacobian(self, here: _Point, known: list[np.ndarray] | None = None) -> list[np.ndarray]:
         """Per run (p + c, b, n); those by constants and nuisances are taken from ``known``, if there is one.
 
@@ -346,10 +349,12 @@ class _Descent:
         rows = [np.zeros((size, *y.shape)) for y in here.predicted] if known is None else [j.copy() for j in known]
         shared = [k for k in (range(size) if known is None else range(len(self.space.paths), p))
                   if not places.start <= k < places.stop]
-        for k, column in zip(shared, (self.predictor.pool.map if self.parallel else map)(
-                lambda k: self.column(here, k), shared), strict=True):
-            for row, changes in zip(rows, column, strict=True):
-                row[k] = changes
+        pool = self.predictor.pool
+        for some, columns in zip(parts := np.array_split(shared, pool.size), pool.map(
+                partial(self.columns, here), parts), strict=True):
+            for k, column in zip(some, columns, strict=True):
+                for row, changes in zip(rows, column, strict=True):
+                    row[k] = changes
         if self.space.gap_places:
             x = here.x.copy()
             x[places] += PLACE_STEP
@@ -416,13 +421,13 @@ def own_steps(data: Dataset) -> np.ndarray:
 
 def objective(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarray, own: np.ndarray) -> float:
     """-2 ln of the posterior, up to a constant, at ``x`` (p) and ``own`` (runs, 4); infinite where lost."""
-    return _Descent(predictor, space, weighing, np.ones(len(predictor.data.runs)), False).at(x, own).objective
+    return _Descent(predictor, space, weighing, np.ones(len(predictor.data.runs))).at(x, own).objective
 
 
 def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarray, own: np.ndarray | None = None, *,
         iterations: int = 25, tolerance: float = 0.1, runs: np.ndarray | None = None,
-        jacobian: list[np.ndarray] | None = None, renewals: int = 100, parallel: bool = True,
-        to_the_end: bool = False, first: float = NEAR) -> Fit:
+        jacobian: list[np.ndarray] | None = None, renewals: int = 100, to_the_end: bool = False,
+        first: float = NEAR) -> Fit:
     """Minimise the objective from ``x``; ``tolerance`` is the fall of it that ends the fit; ``to_the_end`` only if no
     more is expected, and with derivatives of where it ended.
 
@@ -431,11 +436,10 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
 
     ``runs`` (runs): weights, of which 0 leaves a run out; then the prior alone moves what it has of its own.
     ``jacobian`` (per run (p + c, b, n)) starts the quick way; where it leads no further the derivatives are computed
-    afresh, at most ``renewals`` times.  ``first``: NEAR or FAR.  ``parallel`` spreads the work over the predictor's
-    threads; not from one of them.  ArithmeticError: the start does not simulate.
+    afresh, at most ``renewals`` times.  ``first``: NEAR or FAR.  ArithmeticError: the start does not simulate.
     """
     data, predictor = predictor.data, predictor.near(space, x)
-    descent = _Descent(predictor, space, weighing, np.ones(len(data.runs)) if runs is None else runs, parallel)
+    descent = _Descent(predictor, space, weighing, np.ones(len(data.runs)) if runs is None else runs)
     here = descent.at(x, data.own if own is None else own)
     if not np.isfinite(here.objective):
         raise ArithmeticError("the fit's start does not simulate")

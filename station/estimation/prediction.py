@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -22,6 +21,7 @@ from station.estimation.dataset import Dataset, Logs
 from station.estimation.likelihood import blocks_independent
 from station.estimation.observer import Observer
 from station.estimation.parameters import Parameters
+from station.estimation.pool import Pool
 from station.model.compiled import kernel
 from station.model.effects import Stage
 from station.model.simulate import Model, build, initial_state
@@ -152,7 +152,7 @@ class Predictor:
 
     data: Dataset
     observers: tuple[Observer, ...]
-    pool: Executor
+    pool: Pool
     accuracy: Accuracy = SEARCH
     final: Accuracy = FINE
     """Of the simulations from which values are stated."""
@@ -227,12 +227,9 @@ class Predictor:
         """One run's predictions (b, n), counts; ``own`` (4) as ``Dataset.own`` has it."""
         return self.some(model, space, x, [run], own[None])[0]
 
-    def runs(self, space: Parameters, x: np.ndarray, own: np.ndarray, *, parallel: bool = False) -> list[np.ndarray]:
-        """Every run's predictions, ``own`` (runs, 4); ``parallel`` not from one of the pool's threads."""
-        model, runs = self.model(space, x), range(len(self.data.runs))
-        if parallel:
-            return list(self.pool.map(lambda r: self.run(model, space, x, r, own[r]), runs))
-        return self.some(model, space, x, runs, own)
+    def runs(self, space: Parameters, x: np.ndarray, own: np.ndarray) -> list[np.ndarray]:
+        """Every run's predictions (b, n), counts; ``own`` (runs, 4) as ``Dataset.own`` has it."""
+        return self.some(self.model(space, x), space, x, range(len(self.data.runs)), own)
 
 
 def angle_that_reads(rig: Rig, reading: float, zero: float) -> float:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 
@@ -18,6 +17,7 @@ from station.estimation.dataset import canonical_order, dataset
 from station.estimation.identifiability import unseen
 from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
+from station.estimation.pool import SIZE, Pool
 from station.estimation.prediction import Predictor
 from station.estimation.responses import with_responses
 from station.fit.judge import judge
@@ -30,7 +30,7 @@ HELD = ("beam.mass_per_length", "motor.inertia")
 
 
 def fit(rig: Rig, runs: Sequence[Run], hold: Sequence[str] | None = None, *, domain: str = "time", starts: int = 3,
-        seed: int = 0, progress: Callable[[str, float], None] | None = None, threads: int = 2) -> FitResult:
+        seed: int = 0, progress: Callable[[str, float], None] | None = None, threads: int = SIZE) -> FitResult:
     """Fit the rig's constants to runs.
 
     ``hold``: constants that stay as they are (default: beam.mass_per_length, without a beam motor.inertia), because
@@ -59,8 +59,8 @@ def fit(rig: Rig, runs: Sequence[Run], hold: Sequence[str] | None = None, *, dom
     hidden = unseen(space)
     seen = np.linalg.qr(hidden, mode="complete")[0][:, hidden.shape[1]:]
     starts, nominal = max(starts, 1), math.inf
-    with threadpool_limits(1), ThreadPoolExecutor(threads) as pool:
-        predictor = Predictor(data, observers(data.rig, data.noise[0]), pool)
+    with threadpool_limits(1):
+        predictor = Predictor(data, observers(data.rig, data.noise[0]), Pool(threads, __name__))
         if domain != "time":
             predictor = with_responses(predictor, alone=domain == "frequency")
         try:

@@ -6,7 +6,7 @@ import functools
 import json
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NoReturn
 
 import numpy as np
 
@@ -62,6 +62,9 @@ class Model:
     rings: int
     dropped: float
     """Bound of what the modes left out could add to an output, counts."""
+
+    def __reduce__(self) -> NoReturn:
+        raise TypeError("a model holds addresses of this process; send its rig")
 
 
 class _Tables:

@@ -9,14 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from scipy import signal
 from scipy.ndimage import median_filter
 
+from station.estimation.pool import Pool
 from station.model.along import joint_torque, law_values
 from station.model.effects import Effect, Stage, catalogue
 from station.model.modal import modal_form
@@ -62,15 +63,15 @@ class _Cause(NamedTuple):
 
 
 def evidence(rig: Rig, extended_rig: Rig, runs: Sequence[Run], causes: Sequence[tuple[str, str]],
-             pool: Executor | None = None) -> list[Evidence]:
+             pool: Pool | None = None) -> list[Evidence]:
     """The pictures of each cause (effect or "parameter:TABLE.KEY", at), then the sceptic's view of the worst run.
 
     ``rig``: re-fitted without any cause; ``extended_rig``: with all.  A cause that the extended rig does not hold is
     passed over.  Without causes the whole sceptic's view is given: the torque that is missing at the motor against
-    time, speed, angle, command, load and frequency.  ``pool``: threads over which the runs are spread.
+    time, speed, angle, command, load and frequency.  ``pool``: processes over which the runs are spread.
     """
     found = [picture for name, at in causes for picture in _pictures(rig, extended_rig, list(runs), name, at)]
-    torques = list((pool.map if pool else map)(lambda run: missing_torque(rig, run), runs))
+    torques = list((pool or Pool()).map(partial(missing_torque, rig), runs))
     if torques:
         worst, run = max(zip(torques, runs, strict=True), key=lambda pair: float(np.mean(pair[0].torque ** 2)))
         found += _sceptics_view(worst, run)[: 1 if found else None]
