@@ -109,14 +109,17 @@ def multisine(rate: float, amplitude: float = 50.0, f0: float = 0.5, f1: float =
     return reference
 
 
-TAPS = {2: (1,), 3: (2,), 4: (3,), 5: (3,), 6: (5,), 7: (6,), 8: (7, 6, 1), 9: (5,), 10: (7,), 11: (9,), 12: (11, 10, 4),
-        13: (12, 11, 8), 14: (13, 12, 2), 15: (14,), 16: (15, 13, 4), 17: (14,), 18: (11,), 19: (18, 17, 14), 20: (17,)}
+TAPS = {2: (1,), 3: (2,), 4: (3,), 5: (3,), 6: (5,), 7: (6,), 8: (7, 6, 1), 9: (5,), 10: (7,), 11: (9,),
+        12: (11, 10, 4), 13: (12, 11, 8), 14: (13, 12, 2), 15: (14,), 16: (15, 13, 4), 17: (14,), 18: (11,),
+        19: (18, 17, 14), 20: (17,)}
 """By the bits of a shift register, what is fed back beside its last: primitive polynomials, those of SciPy."""
 
 
 def _maximal_length(bits: int) -> np.ndarray:
-    """(2^bits - 1) zeros and ones of a shift register that begins with ones (Golomb, Shift Register Sequences, 1967): as
-    ``scipy.signal.max_len_seq`` has them, without the half second that takes to import, a tenth of a quick diagnosis."""
+    """(2^bits - 1) zeros and ones of a shift register that begins with ones (Golomb, Shift Register Sequences, 1967).
+
+    As ``scipy.signal.max_len_seq`` has them, which takes half a second to import: a tenth of a quick diagnosis.
+    """
     shifted = [1] * bits
     for row in range(2**bits - 1 - bits):
         shifted.append(shifted[row] ^ sum(shifted[row + tap] for tap in TAPS[bits]) % 2)

@@ -54,18 +54,27 @@ class Pool:
         parts = list(parts)
         helpers = _beside.taken(min(self.size, len(parts)) - 1)
         try:
-            yield from _spread(function, parts, helpers) if helpers else map(function, parts)
+            body = _sent(function) if helpers else None
+            yield from map(function, parts) if body is None else _spread(function, body, parts, helpers)
         finally:
             if helpers:
                 _beside.given_back()
 
 
-def _spread(function: Callable[[Part], Result], parts: list[Part], helpers: list[_Helper]) -> Iterator[Result]:
+def _sent(what: object) -> bytes | None:
+    """As it is sent; None where it cannot be, and is done where it is."""
+    with suppress(Exception):
+        return cloudpickle.dumps(what)
+    return None
+
+
+def _spread(function: Callable[[Part], Result], body: bytes, parts: list[Part], helpers: list[_Helper],
+            ) -> Iterator[Result]:
     """Whoever has done a part takes the next one; what comes back unanswered is done here."""
     left, changed = list(reversed(range(len(parts)))), threading.Condition()
     again: list[int] = []
     done: dict[int, Result] = {}
-    body, complete = cloudpickle.dumps(function), False
+    complete = False
 
     def feed(helper: _Helper) -> None:
         told: bytes | None = body
@@ -75,12 +84,11 @@ def _spread(function: Callable[[Part], Result], parts: list[Part], helpers: list
                     return
                 k = left.pop()
             answer = helper.ask(told, parts[k])
-            told = None
             with changed:
                 if answer is None:
                     again.append(k)
                 else:
-                    done[k] = answer[0]
+                    told, done[k] = None, answer[0]
                 changed.notify()
 
     threads = [threading.Thread(target=feed, args=(helper,), daemon=True) for helper in helpers]
@@ -93,7 +101,7 @@ def _spread(function: Callable[[Part], Result], parts: list[Part], helpers: list
                     if k in done:
                         break
                     if not (again or left):
-                        changed.wait()
+                        changed.wait(0.5)       # on Windows Ctrl-C does not end a wait
                         continue
                     mine = (again or left).pop()
                 done[mine] = function(parts[mine])
@@ -132,12 +140,11 @@ class _Helper:
 
     def ask(self, function: bytes | None, part: object) -> tuple[Any] | None:
         """What it answers, None where it does not; ``function``: what it is asked of this part and those to come."""
-        try:
-            asked = pickle.dumps((function, cloudpickle.dumps(part)))
-        except Exception:       # what cannot be sent is done where it is
+        sent = _sent(part)
+        if sent is None:
             return None
         try:
-            _write(self.asked, asked)
+            _write(self.asked, pickle.dumps((function, sent)))
             found: tuple[Any] | None = pickle.loads(_read(self.answers))
         except (OSError, EOFError, ValueError):     # it is gone
             self.end()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import max_len_seq
 
 from station.control.references import KINDS, defaults, reference_from_test
 from station.errors import UsageError
@@ -83,6 +84,13 @@ def test_a_binary_sequence_is_balanced_and_of_maximal_length():
     assert np.count_nonzero(bits) == 16
     assert {tuple(np.roll(bits, -i)[:5]) for i in range(31)} == {
         tuple(bool(n >> i & 1) for i in range(5)) for n in range(1, 32)}
+
+
+@pytest.mark.parametrize("bits", range(2, 21))
+def test_binary_sequences_are_those_of_scipy(bits):
+    test = {"kind": "prbs", "bits": bits, "hold": 1.0 / RATE, "duration": 0.2 + (2**bits - 1) / RATE}
+    wave = reference_from_test(test, RATE)[100:]
+    assert np.array_equal(wave > 0, max_len_seq(bits)[0] == 1)
 
 
 @pytest.mark.parametrize(("test", "words"), [

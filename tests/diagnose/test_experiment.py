@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +24,7 @@ from station.diagnose.experiment import (
 from station.diagnose.result import Prediction
 from station.diagnose.thresholds import VISIBLE
 from station.diagnose.trials import LEAD, OPEN, P, Trial, trials
+from station.estimation.pool import Pool
 from station.model.effects import effect_class
 from station.model.simulate import build, simulate_model
 from station.rig import Limits, Rig, load_rig
@@ -50,8 +50,7 @@ STEPS = [Trial({"kind": "step", "amplitude": 20.0}, P), Trial({"kind": "step", "
 
 @pytest.fixture(scope="module")
 def planner():
-    with ThreadPoolExecutor(1) as pool:
-        yield Planner(SFLR, SIGMA, pool)
+    return Planner(SFLR, SIGMA, Pool())
 
 
 def gone(trial: Trial) -> Run:

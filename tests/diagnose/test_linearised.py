@@ -26,18 +26,18 @@ FRICTION = ("coulomb_friction", "motor")
 def known() -> Iterator[tuple[Linearised, Change]]:
     """A rig that has friction, fitted without it, and what as much of it changes as seems best."""
     runs = make_case(8171, [FRICTION], nominal=RIGID_AXIS, count=4, band=(400.0, 1e5)).runs
-    with predictions(Rig.model_validate(RIGID_AXIS), runs) as predictor:
-        data = predictor.data
-        base = base_fit(predictor)
-        parent = fit(predictor, base.space, base.weighing, base.x, base.own, to_the_end=True)
-        cause = next(c for c in candidates(data.rig) if c.key == FRICTION)
-        guess = {cause.key: cause.guesses[0]}
-        space = parameters(data, cause.hypothesis, guess)
-        found = Linearised.of(predictor, parent)
-        change = found.change(space, space.carried(parent.space, parent.x, guess))
-        assert change is not None
-        gram, slope = found.products([change])
-        yield found, multiple(change, slope[0] / gram[0, 0])
+    predictor = predictions(Rig.model_validate(RIGID_AXIS), runs)
+    data = predictor.data
+    base = base_fit(predictor)
+    parent = fit(predictor, base.space, base.weighing, base.x, base.own, to_the_end=True)
+    cause = next(c for c in candidates(data.rig) if c.key == FRICTION)
+    guess = {cause.key: cause.guesses[0]}
+    space = parameters(data, cause.hypothesis, guess)
+    found = Linearised.of(predictor, parent)
+    change = found.change(space, space.carried(parent.space, parent.x, guess))
+    assert change is not None
+    gram, slope = found.products([change])
+    yield found, multiple(change, slope[0] / gram[0, 0])
 
 
 def multiple(change: Change, size: float) -> Change:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -28,6 +27,7 @@ from station.estimation.least_squares import fit
 from station.estimation.likelihood import Weighing
 from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
+from station.estimation.pool import Pool
 from station.estimation.prediction import Predictor
 from station.model.effects import catalogue, effect_class
 from tests.estimation.made import AXIS, runs_of
@@ -182,10 +182,9 @@ def test_a_level_at_which_readings_stand_still_is_known_no_better_than_their_rou
     bias, at = effect_class("command_bias"), "amplifier"
 
     def width() -> float:
-        with ThreadPoolExecutor(1) as pool:
-            predictor = Predictor(dataset(AXIS, runs_of(AXIS)), observers(AXIS, 0.0), pool)
-            space = parameters(predictor.data, Hypothesis(((bias, at),)), {("command_bias", at): {"offset": 1.0}})
-            found = fit(predictor, space, Weighing(predictor.counts, 1.0), space.mean)
+        predictor = Predictor(dataset(AXIS, runs_of(AXIS)), observers(AXIS, 0.0), Pool())
+        space = parameters(predictor.data, Hypothesis(((bias, at),)), {("command_bias", at): {"offset": 1.0}})
+        found = fit(predictor, space, Weighing(predictor.counts, 1.0), space.mean)
         offset = estimates(found)[0]["command_bias", at]["offset"]
         return offset.high - offset.low
 

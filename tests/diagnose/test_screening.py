@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 
 import numpy as np
 import pytest
@@ -25,7 +24,7 @@ FRICTION, DEAD_ZONE = ("coulomb_friction", "motor"), ("dead_zone", "amplifier")
 CURVE, TILT = ("gain_curve", "amplifier"), ("gravity_tilt", "base")
 
 
-def hiding(table: dict, seed: int, hidden: Sequence[Key]) -> AbstractContextManager[Predictor]:
+def hiding(table: dict, seed: int, hidden: Sequence[Key]) -> Predictor:
     """Predictions of runs of a rig that hides something."""
     runs = make_case(seed, list(hidden), nominal=table, count=4, band=(400.0, 1e5)).runs
     return predictions(Rig.model_validate(table), runs)
@@ -48,21 +47,21 @@ def exchanges(predictor: Predictor, causes: Sequence[Key]) -> tuple[Fit, list[Ex
 
 def test_what_should_stand_in_a_causes_place_is_found_beside_the_other() -> None:
     """A dead zone was taken for a curve beside friction: a parent that has the curve need not lead to it."""
-    with hiding(RIGID_AXIS, 8361, [DEAD_ZONE, FRICTION]) as predictor:
-        parent, found = exchanges(predictor, [CURVE, FRICTION])
-        instead = [one for one in found if one.less == CURVE]
-        assert {one.less for one in found} == {CURVE, FRICTION}
-        assert instead[0].more.candidate.key == DEAD_ZONE
-        assert all(one.more.candidate.key not in parent.key for one in found)
-        exchanged = begun(predictor, parent, [instead[0].more], CURVE)
-        assert exchanged is not None and exchanged.key == {DEAD_ZONE, FRICTION}
-        assert exchanged.objective < parent.objective - 10.0
+    predictor = hiding(RIGID_AXIS, 8361, [DEAD_ZONE, FRICTION])
+    parent, found = exchanges(predictor, [CURVE, FRICTION])
+    instead = [one for one in found if one.less == CURVE]
+    assert {one.less for one in found} == {CURVE, FRICTION}
+    assert instead[0].more.candidate.key == DEAD_ZONE
+    assert all(one.more.candidate.key not in parent.key for one in found)
+    exchanged = begun(predictor, parent, [instead[0].more], CURVE)
+    assert exchanged is not None and exchanged.key == {DEAD_ZONE, FRICTION}
+    assert exchanged.objective < parent.objective - 10.0
 
 
 def test_of_a_single_cause_the_same_law_elsewhere_alone_is_looked_at() -> None:
     """The others were looked at when nothing was in the set yet."""
-    with hiding(TWO_MASS, 8062, [FRICTION]) as predictor:
-        _, found = exchanges(predictor, [FRICTION])
+    predictor = hiding(TWO_MASS, 8062, [FRICTION])
+    _, found = exchanges(predictor, [FRICTION])
     assert [(one.less, one.more.candidate.key) for one in found] == [(FRICTION, ("coulomb_friction", "base"))]
 
 
@@ -71,9 +70,9 @@ def test_an_angle_between_the_guesses_is_read_off_two_of_them(angle: float) -> N
     """A sine of any phase is made of two."""
     hidden = {"effect": "gravity_tilt", "at": "base", "torque": 0.004, "angle": angle}
     runs = make_case(8064, [hidden], nominal=TWO_MASS, count=5).runs
-    with predictions(Rig.model_validate(TWO_MASS), runs) as predictor:
-        parent, pool = base_fit(predictor), candidates(predictor.data.rig)
-        (said,) = [one for one in screen(predictor, parent, pool)[0] if one.candidate.key == TILT]
+    predictor = predictions(Rig.model_validate(TWO_MASS), runs)
+    parent, pool = base_fit(predictor), candidates(predictor.data.rig)
+    (said,) = [one for one in screen(predictor, parent, pool)[0] if one.candidate.key == TILT]
     assert abs(math.remainder(said.guess["angle"] - angle, 2.0 * math.pi)) < 0.5
     assert said.gain > 10.0
 
@@ -95,15 +94,15 @@ def test_sizes_of_pairs_are_multiples_of_the_guess_whatever_was_simulated(monkey
     """A guess that would show too plainly is looked at at a smaller size; a pair's sizes are still those of the guess.
     """
     sizes = {}
-    with hiding(RIGID_AXIS, 8063, [FRICTION, DEAD_ZONE]) as predictor:
-        parent, pool = base_fit(predictor), candidates(predictor.data.rig)
-        for strong in (np.inf, 1.0):
-            monkeypatch.setattr(screening, "STRONG", strong)
-            for pair in screen(predictor, parent, pool)[1]:
-                if {one.candidate.key for one in pair} == {FRICTION, DEAD_ZONE}:
-                    sizes[strong] = sorted((one.candidate.key, one.guess[next(iter(one.guess))] * one.size)
-                                           for one in pair)
-                    break
+    predictor = hiding(RIGID_AXIS, 8063, [FRICTION, DEAD_ZONE])
+    parent, pool = base_fit(predictor), candidates(predictor.data.rig)
+    for strong in (np.inf, 1.0):
+        monkeypatch.setattr(screening, "STRONG", strong)
+        for pair in screen(predictor, parent, pool)[1]:
+            if {one.candidate.key for one in pair} == {FRICTION, DEAD_ZONE}:
+                sizes[strong] = sorted((one.candidate.key, one.guess[next(iter(one.guess))] * one.size)
+                                       for one in pair)
+                break
     assert set(sizes) == {np.inf, 1.0}
     for (_, whole), (_, small) in zip(sizes[np.inf], sizes[1.0], strict=True):
         assert 0.4 < small / whole < 2.5

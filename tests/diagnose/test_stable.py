@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import random
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
@@ -18,6 +19,7 @@ from threadpoolctl import threadpool_limits
 from station.diagnose.diagnose import diagnose
 from station.diagnose.result import Cause, Diagnosis, Estimate
 from station.diagnose.thresholds import OUTSIDE
+from station.estimation import pool as module
 from station.rig import Rig, load_rig
 from station.runs import load_run
 from station.runs.run import Run
@@ -161,6 +163,25 @@ def test_other_threads_say_to_the_last_digit_what_two_say_of_the_same_runs_in_re
     with threadpool_limits(algebra or os.cpu_count()):
         alone = said(*reversed_order(*given("made")), threads=threads)
     assert by_run(alone) == by_run(plain("made"))
+
+
+def test_every_part_of_a_diagnosis_can_be_sent_to_another_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What comes back unanswered is done again here, and nobody would see it but by the clock."""
+    answers: list[object] = []
+    plain_ask = module._Helper.ask
+
+    def ask(helper: module._Helper, function: bytes | None, part: object) -> object:
+        answers.append(plain_ask(helper, function, part))
+        return answers[-1]
+
+    module.Pool(2)
+    end = time.monotonic() + 60.0
+    while not any(helper.ready for helper in module._beside.helpers):
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    monkeypatch.setattr(module._Helper, "ask", ask)
+    said(*given("made"), threads=2)
+    assert len(answers) > 20 and None not in answers
 
 
 def by_run(found: Diagnosis) -> Diagnosis:

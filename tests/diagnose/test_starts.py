@@ -38,8 +38,8 @@ def starting(predictor: Predictor, most: int) -> list[Start]:
 @pytest.mark.parametrize(("table", "key", "factor"), [("beam", "length", 0.2), ("beam", "flexural_rigidity", 0.04),
                                                       ("base", "inertia", 8.0)])
 def test_the_constant_that_is_far_off_is_begun_where_it_is(table: str, key: str, factor: float) -> None:
-    with predictions(ARM, runs_of(8300, table, key, factor)) as predictor:
-        starts = starting(predictor, 4)
+    predictor = predictions(ARM, runs_of(8300, table, key, factor))
+    starts = starting(predictor, 4)
     assert len(starts) <= 6
     (begun,) = [start for start in starts if start.candidate.constant == f"{table}.{key}"]
     log = begun.space.logs(begun.x)[begun.space.paths.index(f"{table}.{key}")]
@@ -53,8 +53,8 @@ def test_a_constant_with_which_others_must_move_is_begun_where_they_do() -> None
                         ("beam.flexural_rigidity", 0.66), ("drive.stiffness", 0.76)):
         table, name = key.split(".")
         true[table][name] *= factor
-    with predictions(ARM, list(make_case(8304, nominal=true, count=4).runs)) as predictor:
-        found = {start.candidate.constant: start for start in starting(predictor, 2)}
+    predictor = predictions(ARM, list(make_case(8304, nominal=true, count=4).runs))
+    found = {start.candidate.constant: start for start in starting(predictor, 2)}
     assert "base.inertia" in found
     begun = found["base.inertia"]
     log = begun.space.logs(begun.x)[begun.space.paths.index("base.inertia")]
@@ -62,8 +62,8 @@ def test_a_constant_with_which_others_must_move_is_begun_where_they_do() -> None
 
 
 def test_where_every_constant_is_about_right_no_fit_begins_elsewhere() -> None:
-    with predictions(ARM, runs_of(8301, "base", "inertia", 1.0)) as predictor:
-        assert starting(predictor, 4) == []
+    predictor = predictions(ARM, runs_of(8301, "base", "inertia", 1.0))
+    assert starting(predictor, 4) == []
 
 
 @pytest.mark.parametrize("joint", JOINTS)
@@ -74,16 +74,16 @@ def test_a_joint_that_hardly_yields_is_begun_where_the_fit_ends_as_from_the_trut
     true = copy.deepcopy(SFLR)
     true[table][key] *= factor
     case = make_case(8306, nominal=true, count=4)
-    with predictions(ARM, list(case.runs)) as predictor:
-        parent = base_fit(predictor)
-        starts, _ = rigid_starts(predictor, parent, candidates(predictor.data.rig))
-        (begun,) = [start for start in starts if start.candidate.constant == joint]
-        drawn, nominal = Rig.model_validate(case.rig).constants(), ARM.constants()
-        logs = [math.log(drawn[path] / nominal[path]) if path in drawn else 0.0 for path in begun.space.paths]
-        x = begun.space.mean.copy()
-        x[begun.space.parts["constants"]] = np.linalg.solve(begun.space.root, logs)
-        wanted, found = (attempted(predictor, begun.space, parent.weighing, *start)
-                         for start in ((x, predictor.data.own), (begun.x, begun.own)))
+    predictor = predictions(ARM, list(case.runs))
+    parent = base_fit(predictor)
+    starts, _ = rigid_starts(predictor, parent, candidates(predictor.data.rig))
+    (begun,) = [start for start in starts if start.candidate.constant == joint]
+    drawn, nominal = Rig.model_validate(case.rig).constants(), ARM.constants()
+    logs = [math.log(drawn[path] / nominal[path]) if path in drawn else 0.0 for path in begun.space.paths]
+    x = begun.space.mean.copy()
+    x[begun.space.parts["constants"]] = np.linalg.solve(begun.space.root, logs)
+    wanted, found = (attempted(predictor, begun.space, parent.weighing, *start)
+                     for start in ((x, predictor.data.own), (begun.x, begun.own)))
     assert wanted is not None and found is not None
     assert found.objective < wanted.objective + 0.1 * (parent.objective - wanted.objective)
     assert parent.objective > wanted.objective + 100.0
@@ -91,8 +91,8 @@ def test_a_joint_that_hardly_yields_is_begun_where_the_fit_ends_as_from_the_trut
 
 def test_a_joint_that_yields_as_the_rig_file_says_is_not_held_against_the_runs() -> None:
     """What meets the beginnings worse than the rig does where it stands is given up before whole runs are fitted."""
-    with predictions(ARM, runs_of(8301, "base", "inertia", 1.0)) as predictor:
-        starts, _ = rigid_starts(predictor, base_fit(predictor), candidates(predictor.data.rig))
+    predictor = predictions(ARM, runs_of(8301, "base", "inertia", 1.0))
+    starts, _ = rigid_starts(predictor, base_fit(predictor), candidates(predictor.data.rig))
     assert "clamp.stiffness" not in [start.candidate.constant for start in starts]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -19,6 +18,7 @@ from station.diagnose.validation import (
     seconds_ahead,
     unseen_gain,
 )
+from station.estimation.pool import Pool
 
 ROWS = 200
 PRIOR = np.array([1e6, 0.04, 4.0, 0.25])
@@ -122,9 +122,8 @@ def test_every_run_is_left_out_once_from_where_the_fit_of_all_ended(monkeypatch:
     monkeypatch.setattr(module, "fit", fit)
     space = SimpleNamespace(with_place_of=lambda x, other, run: f"{x}, {other}'s place of {run}")
     found = SimpleNamespace(space=space, x="here", own=None, jacobian="known", light="of all")
-    with ThreadPoolExecutor(1) as pool:
-        predictor = SimpleNamespace(data=SimpleNamespace(runs=[None] * 3), pool=pool)
-        left = leave_each_out(predictor, None, found)
+    predictor = SimpleNamespace(data=SimpleNamespace(runs=[None] * 3), pool=Pool())
+    left = leave_each_out(predictor, None, found)
     assert [one.x for one in left[:2]] == ["without 0, here's place of 0", "without 1, here's place of 1"]
     assert left[2] == "of all"
     assert [row[0] for row in asked] == [[0.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 0.0]]

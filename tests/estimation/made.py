@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Sequence
 
 import numpy as np
 
 from station.estimation.dataset import dataset
 from station.estimation.observer import observers
+from station.estimation.pool import Pool
 from station.estimation.prediction import Predictor
 from station.model.simulate import simulate
 from station.rig import Rig
@@ -38,9 +37,7 @@ def runs_of(rig: Rig) -> list[Run]:
     return [run_of(rig, 90.0, "p2", "step"), run_of(rig, -60.0, "p1", "down"), run_of(rig, 60.0, "open", "pulses")]
 
 
-@contextmanager
-def predictions(rig: Rig, runs: Sequence[Run]) -> Iterator[Predictor]:
+def predictions(rig: Rig, runs: Sequence[Run]) -> Predictor:
     """Of runs, at the horizons of a diagnosis."""
     data = dataset(rig, runs)
-    with ThreadPoolExecutor(2) as pool:
-        yield Predictor(data, observers(data.rig, data.noise[0]), pool)
+    return Predictor(data, observers(data.rig, data.noise[0]), Pool())

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +13,7 @@ from station.estimation.least_squares import Fit, fit, largest_differ, weighing_
 from station.estimation.likelihood import Weighing
 from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
+from station.estimation.pool import Pool
 from station.estimation.prediction import Predictor
 from station.estimation.spread import differences
 from station.model.effects import effect_class
@@ -39,16 +39,15 @@ def fitted(offsets: Sequence[float], shares: Sequence[float], effects: tuple = (
     for k, ((amplitude, controller), offset, share) in enumerate(zip(TESTS, offsets, shares, strict=True)):
         true = AXIS.with_constants({"motor.gain": AXIS.motor.gain * (1.0 + share)})
         runs.append(run_of(true.with_effects([BIAS(at="amplifier", offset=offset)]), amplitude, controller, f"run {k}"))
-    with ThreadPoolExecutor(1) as pool:
-        predictor = Predictor(dataset(rig, runs), observers(rig, 0.0), pool)
-        weighing = Weighing(predictor.counts, 1.0, begun or (0.0, 0.0))
-        space = parameters(predictor.data, Hypothesis(effects), {KEY: {"offset": 1.0}})
-        found = fit(predictor, space, weighing, space.mean.copy())
-        if begun:
-            return replace(found, weighing=weighing_of(predictor, found))
-        for _ in range(3):
-            found = fit(predictor, space, weighing_of(predictor, found), found.x, found.own)
-        return found
+    predictor = Predictor(dataset(rig, runs), observers(rig, 0.0), Pool())
+    weighing = Weighing(predictor.counts, 1.0, begun or (0.0, 0.0))
+    space = parameters(predictor.data, Hypothesis(effects), {KEY: {"offset": 1.0}})
+    found = fit(predictor, space, weighing, space.mean.copy())
+    if begun:
+        return replace(found, weighing=weighing_of(predictor, found))
+    for _ in range(3):
+        found = fit(predictor, space, weighing_of(predictor, found), found.x, found.own)
+    return found
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
@@ -15,6 +14,7 @@ from station.estimation.least_squares import fit
 from station.estimation.likelihood import Weighing
 from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
+from station.estimation.pool import Pool
 from station.estimation.prediction import Predictor
 from station.rig import load_rig
 from tests.estimation.made import AXIS, runs_of
@@ -24,8 +24,7 @@ from tests.truth import make_case
 @pytest.fixture(scope="module")
 def predictor() -> Iterator[Predictor]:
     true = AXIS.with_constants({"motor.damping": 1.1 * AXIS.motor.damping})
-    with ThreadPoolExecutor(1) as pool:
-        yield Predictor(dataset(AXIS, runs_of(true)), observers(AXIS, 0.0), pool)
+    yield Predictor(dataset(AXIS, runs_of(true)), observers(AXIS, 0.0), Pool())
 
 
 def test_a_horizon_that_is_looked_at_three_times_says_no_more_than_once(predictor: Predictor) -> None:
@@ -54,14 +53,13 @@ def test_how_much_runs_differ_is_found_wherever_the_fit_begins() -> None:
     case = make_case(930007, [("sublinear_drag", "motor")], count=None, band="subtle", disturbance=0.02,
                      sized_in_world=True)
     runs = [case.runs[i] for i in canonical_order(case.runs)]
-    with ThreadPoolExecutor(2) as pool:
-        data = dataset(load_rig("sflr"), runs)
-        predictor = Predictor(data, observers(data.rig, data.noise[0]), pool)
-        found = base_fit(predictor)
-        space = found.space
-        alike = Weighing(PRIOR_SHARE * predictor.counts, 1.0)
-        shut, again = (settled(predictor, fit(predictor, space, begun, space.mean, tolerance=1.0))
-                       for begun in (alike, unknown(predictor)))
+    data = dataset(load_rig("sflr"), runs)
+    predictor = Predictor(data, observers(data.rig, data.noise[0]), Pool())
+    found = base_fit(predictor)
+    space = found.space
+    alike = Weighing(PRIOR_SHARE * predictor.counts, 1.0)
+    shut, again = (settled(predictor, fit(predictor, space, begun, space.mean, tolerance=1.0))
+                   for begun in (alike, unknown(predictor)))
     for other in (shut, again):
         assert other.weighing.differ[1] == pytest.approx(found.weighing.differ[1], rel=0.3)
         assert found.log_evidence(found.weighing) > other.log_evidence(found.weighing) - 1.0

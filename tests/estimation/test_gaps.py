@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +11,7 @@ from station.errors import WorkError
 from station.estimation.dataset import dataset
 from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
+from station.estimation.pool import Pool
 from station.estimation.prediction import Predictor
 from station.rig import load_rig
 from station.runs import Run
@@ -45,16 +45,15 @@ def test_windows_keep_lost_rows_out():
 
 def test_what_stands_in_a_gap_never_reaches_a_prediction():
     rig = load_rig("sflr")
-    with ThreadPoolExecutor(1) as pool:
-        found = []
-        for spoil in (0.0, 500.0):
-            data = dataset(rig, [with_gaps()])
-            data.measured[0][:, LOST] += spoil
-            predictor = Predictor(data, observers(data.rig, data.noise[0]), pool)
-            space = parameters(data, Hypothesis(), {})
-            found.append(predictor.runs(space, np.zeros(space.size), data.own)[0])
-        read = replace(data, logged=tuple(np.ones_like(rows) for rows in data.logged))
-        heard = predictor.on(read).runs(space, np.zeros(space.size), data.own)[0]
+    found = []
+    for spoil in (0.0, 500.0):
+        data = dataset(rig, [with_gaps()])
+        data.measured[0][:, LOST] += spoil
+        predictor = Predictor(data, observers(data.rig, data.noise[0]), Pool())
+        space = parameters(data, Hypothesis(), {})
+        found.append(predictor.runs(space, np.zeros(space.size), data.own)[0])
+    read = replace(data, logged=tuple(np.ones_like(rows) for rows in data.logged))
+    heard = predictor.on(read).runs(space, np.zeros(space.size), data.own)[0]
     np.testing.assert_array_equal(found[0], found[1])
     assert np.abs(heard - found[0]).max() > 1.0
 

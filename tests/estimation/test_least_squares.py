@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +13,7 @@ from station.estimation.least_squares import Fit, _Descent, fit, inherited, weig
 from station.estimation.likelihood import Weighing
 from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
+from station.estimation.pool import Pool
 from station.estimation.prediction import Predictor
 from station.model.effects import effect_class
 from station.model.simulate import simulate
@@ -31,8 +31,7 @@ TORQUE = 0.02 * AXIS.motor.gain * AXIS.amplifier.limit
 def predictor() -> Iterator[Predictor]:
     true = AXIS.with_constants({"motor.damping": 1.1 * AXIS.motor.damping})
     true = true.with_effects([FRICTION(at="motor", torque=TORQUE)])
-    with ThreadPoolExecutor(2) as pool:
-        yield Predictor(dataset(AXIS, runs_of(true)), observers(AXIS, 0.0), pool)
+    yield Predictor(dataset(AXIS, runs_of(true)), observers(AXIS, 0.0), Pool())
 
 
 @pytest.fixture(scope="module")
@@ -65,10 +64,9 @@ def test_what_no_output_shows_carries_no_information() -> None:
                 RunMetadata(controller=CONTROLLERS["p2"], command_row=-1))
     made = simulate(rig.remeshed(), still)
     run = replace(still, command=made.command, encoder=made.encoder, accel=made.accel)
-    with ThreadPoolExecutor(1) as pool:
-        predictor = Predictor(dataset(rig, [run]), observers(rig, 0.0), pool)
-        space = parameters(predictor.data, Hypothesis(), {})
-        found = fit(predictor, space, Weighing(predictor.counts, 1.0), space.mean.copy(), iterations=0)
+    predictor = Predictor(dataset(rig, [run]), observers(rig, 0.0), Pool())
+    space = parameters(predictor.data, Hypothesis(), {})
+    found = fit(predictor, space, Weighing(predictor.counts, 1.0), space.mean.copy(), iterations=0)
     normal, _ = found.normal(found.weighing)
     for unit in (0, 1):
         direction = np.linalg.solve(space.root, powers(space.paths, unit))
@@ -120,7 +118,7 @@ def test_eliminating_each_runs_nuisances_is_solving_for_all_at_once(fitted: Fit,
 
 
 def test_derivatives_are_differences_of_predictions(predictor: Predictor, fitted: Fit, weighing: Weighing) -> None:
-    descent = _Descent(predictor, fitted.space, weighing, np.ones(3), False)
+    descent = _Descent(predictor, fitted.space, weighing, np.ones(3))
     here = descent.at(fitted.x, fitted.own)
     jac = descent.jacobian(here)
     for k in range(len(fitted.space.paths)):
@@ -136,7 +134,7 @@ def test_derivatives_are_differences_of_predictions(predictor: Predictor, fitted
 
 
 def test_a_run_of_weight_0_does_not_pull(predictor: Predictor, fitted: Fit, weighing: Weighing) -> None:
-    descent = _Descent(predictor, fitted.space, weighing, np.array([1.0, 0.0, 1.0]), False)
+    descent = _Descent(predictor, fitted.space, weighing, np.array([1.0, 0.0, 1.0]))
     here = descent.at(fitted.x, fitted.own)
     jac = [j.copy() for j in fitted.jacobian]
     before = descent.normal(here, jac)[:2]

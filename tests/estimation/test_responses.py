@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +11,7 @@ from station.errors import WorkError
 from station.estimation.dataset import dataset
 from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
+from station.estimation.pool import Pool
 from station.estimation.prediction import Predictor
 from station.estimation.responses import spectra, with_responses
 from station.model.frequency import finite_element_response, measured_response
@@ -34,13 +34,12 @@ def shaken(rows: int = 6000) -> Run:
 @pytest.mark.parametrize("alone", [True, False])
 def test_errors_are_the_logarithm_of_measured_over_simulated(alone: bool) -> None:
     run, off = shaken(), SFLR.with_constants({"accelerometer.gain": 1.2 * SFLR.accelerometer.gain})
-    with ThreadPoolExecutor(1) as pool:
-        data = dataset(off, [run])
-        in_time = Predictor(data, observers(data.rig, 0.0), pool)
-        predictor = with_responses(in_time, alone)
-        space = parameters(data, Hypothesis(), {})
-        predicted = predictor.runs(space, space.mean, data.own)[0]
-        plain = in_time.runs(space, space.mean, data.own)[0]
+    data = dataset(off, [run])
+    in_time = Predictor(data, observers(data.rig, 0.0), Pool())
+    predictor = with_responses(in_time, alone)
+    space = parameters(data, Hypothesis(), {})
+    predicted = predictor.runs(space, space.mean, data.own)[0]
+    plain = in_time.runs(space, space.mean, data.own)[0]
     assert len(predicted) == 4 + (0 if alone else len(plain))
     if not alone:
         np.testing.assert_array_equal(predicted[:-4], plain)
@@ -66,9 +65,8 @@ def test_only_what_coheres_counts_and_no_more_than_was_logged_can_hold() -> None
 
 def test_without_any_response_there_is_nothing_to_fit() -> None:
     run = shaken(900)
-    with ThreadPoolExecutor(1) as pool:
-        data = dataset(SFLR, [run])
-        in_time = Predictor(data, observers(data.rig, 0.0), pool)
-        with pytest.raises(WorkError, match="no run is long and rich enough"):
-            with_responses(in_time, alone=True)
-        assert not with_responses(in_time, alone=False).share(0)[-4:].any()
+    data = dataset(SFLR, [run])
+    in_time = Predictor(data, observers(data.rig, 0.0), Pool())
+    with pytest.raises(WorkError, match="no run is long and rich enough"):
+        with_responses(in_time, alone=True)
+    assert not with_responses(in_time, alone=False).share(0)[-4:].any()

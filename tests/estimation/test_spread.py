@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from station.estimation.least_squares import Fit, fit
 from station.estimation.likelihood import Weighing
 from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
+from station.estimation.pool import Pool
 from station.estimation.prediction import Predictor
 from station.estimation.spread import Spread, between_runs
 from station.model.effects import effect_class
@@ -29,13 +29,12 @@ def fitted(offsets: Sequence[float], torques: Sequence[float]) -> Fit:
     runs = [run_of(AXIS.with_effects([BIAS(at="amplifier", offset=offset), FRICTION(at="motor", torque=torque)]),
                    amplitude, controller, f"run {k}")
             for k, ((amplitude, controller), offset, torque) in enumerate(zip(TESTS, offsets, torques, strict=True))]
-    with ThreadPoolExecutor(1) as pool:
-        predictor = Predictor(dataset(AXIS, runs), observers(AXIS, 0.0), pool)
-        weighing = Weighing(predictor.counts, 1.0)
-        space = parameters(predictor.data, Hypothesis(((BIAS, "amplifier"), (FRICTION, "motor"))),
-                           {("command_bias", "amplifier"): {"offset": 3.0},
-                            ("coulomb_friction", "motor"): {"torque": USUAL}})
-        return fit(predictor, space, weighing, space.mean.copy(), tolerance=0.01, iterations=40)
+    predictor = Predictor(dataset(AXIS, runs), observers(AXIS, 0.0), Pool())
+    weighing = Weighing(predictor.counts, 1.0)
+    space = parameters(predictor.data, Hypothesis(((BIAS, "amplifier"), (FRICTION, "motor"))),
+                       {("command_bias", "amplifier"): {"offset": 3.0},
+                        ("coulomb_friction", "motor"): {"torque": USUAL}})
+    return fit(predictor, space, weighing, space.mean.copy(), tolerance=0.01, iterations=40)
 
 
 def spreads(found: Fit) -> tuple[Spread, Spread, float]:
