@@ -23,7 +23,6 @@ from typing import NamedTuple
 import numpy as np
 
 from station.estimation.noise import QUANTISATION
-from station.model.assembly import torque_input
 from station.model.compiled import njit
 from station.model.modal import ModalForm, apply, dense
 from station.model.simulate import Model, build
@@ -125,7 +124,7 @@ def _correction(observer: Observer, model: Model) -> Correction:
     plan, form, period, decay = model.plan, model.form, _period(model), at_once.decay
     if plan.encoder_delay == 0.0 or at_once.torque == 0.0:
         return at_once
-    delay, count = plan.encoder_delay, _per_count(model)
+    delay, count = plan.encoder_delay, model.per_count
 
     def carried(z: np.ndarray, torque: float, time: float) -> np.ndarray:
         return apply(form.exponential(time), z) + torque * apply(form.integral(time), count)
@@ -170,7 +169,7 @@ def _filter(model: Model, horizon: float, blocks: np.ndarray) -> _Filter:
     """Of the modes ``blocks`` alone."""
     form, kept, period = model.form.select(blocks), model.form.columns(blocks), _period(model)
     size, decay = len(kept), math.exp(-model.rig.period / horizon)
-    held = apply(form.integral(period), _per_count(model)[kept])
+    held = apply(form.integral(period), model.per_count[kept])
     f = np.zeros((size + 1, size + 1))
     f[:size, :size], f[:size, size], f[size, size] = dense(form.exponential(period)), held * decay, decay
     h = np.append(model.plan.base_angle[kept] * model.plan.counts_per_radian, 0.0)
@@ -181,12 +180,6 @@ def _filter(model: Model, horizon: float, blocks: np.ndarray) -> _Filter:
 def _period(model: Model) -> float:
     """True seconds between two samples, as the board's clock makes them."""
     return model.plan.substeps * model.plan.h
-
-
-def _per_count(model: Model) -> np.ndarray:
-    """(2 b) rate of the modes per count of torque at the motor."""
-    parts = model.assembly
-    return model.form.inverse @ (model.rig.motor.gain * torque_input(parts, parts.unit(parts.motor)))
 
 
 def observers(rig: Rig, noise: float, horizons: Sequence[float] = HORIZONS) -> tuple[Observer, ...]:

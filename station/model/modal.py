@@ -76,7 +76,10 @@ def apply(blocks: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 def dense(blocks: np.ndarray) -> np.ndarray:
     """Blocks (4, b) as one matrix (2b, 2b)."""
-    return np.block([[np.diag(blocks[0]), np.diag(blocks[1])], [np.diag(blocks[2]), np.diag(blocks[3])]])
+    one = np.arange(blocks.shape[1])
+    other, out = len(one) + one, np.zeros((2 * len(one), 2 * len(one)))
+    out[one, one], out[one, other], out[other, one], out[other, other] = blocks
+    return out
 
 
 @njit(cache=True)

@@ -57,6 +57,8 @@ class Model:
     assembly: Assembly
     form: ModalForm
     plan: stepper.Plan
+    per_count: np.ndarray
+    """(2 b) rate of the modes per count of torque at the motor."""
     effect_states: int
     filters: int
     rings: int
@@ -97,9 +99,9 @@ def _decoupled(tables: _Tables) -> tuple[Assembly, ModalForm]:
 
 @functools.lru_cache(maxsize=32)
 def _sampled(tables: _Tables, ports: tuple[str, ...], period: float, substeps: int, delay: float, truncation: float,
-             ) -> tuple[Assembly, ModalForm, stepper.Plan, float]:
-    """The linear part with its ports, truncated and sampled: its matrices, its form, a plan without effects, and what
-    Model drops."""
+             ) -> tuple[Assembly, ModalForm, stepper.Plan, np.ndarray, float]:
+    """The linear part with its ports, truncated and sampled: its matrices, its form, a plan without effects, what a
+    count of command does, and what Model drops."""
     rig, h = tables.rig, period / substeps
     parts, whole = _decoupled(_Tables(rig, moving=True))
     n, rotations = parts.size, _rotations(parts, ports)
@@ -140,7 +142,7 @@ def _sampled(tables: _Tables, ports: tuple[str, ...], period: float, substeps: i
         -1, -1, rig.motor.gain, rig.motor.damping, moment, port_held @ moment,
         table, first, arguments, rig.amplifier.limit, rig.beam.length if rig.beam else 0.0,
         1.0 / rig.angle_per_count, gain, 0.0, 0.0)
-    return parts, form, plan, dropped
+    return parts, form, plan, command, dropped
 
 
 def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP) -> Model:
@@ -163,7 +165,7 @@ def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP) ->
     loaded = any(by_load(rig, e) for e in laws)
     if loaded and rig.drive is None and rig.beam is not None:
         truncation = 0.0   # the moment at the beam's root is the sum of all modes
-    parts, form, plan, dropped = _sampled(_Tables(rig), ports, period, substeps, delay, truncation)
+    parts, form, plan, per_count, dropped = _sampled(_Tables(rig), ports, period, substeps, delay, truncation)
     table, first, arguments, states = slots(rig, laws, ports)
     plan = plan._replace(
         load_port=ports.index("drive") if loaded and rig.drive is not None else -1,
@@ -172,7 +174,7 @@ def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP) ->
         encoder_delay=late[Stage.ENCODER_DELAY] / plan.h, accel_delay=late[Stage.ACCEL_DELAY] / plan.h)
     filters = int(first[stepper.ACCEL_FILTER + 1] - first[stepper.ACCEL_FILTER])
     rings = int(max(plan.encoder_delay, plan.accel_delay)) + 3
-    return Model(rig, parts, form, plan, states, filters, rings, dropped)
+    return Model(rig, parts, form, plan, per_count, states, filters, rings, dropped)
 
 
 def by_load(rig: Rig, effect: Effect) -> bool:
