@@ -8,7 +8,7 @@ The rigid mode of a rig without any damping to ground is a Jordan block [[0, 1],
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,8 @@ from station.model.assembly import Assembly, state_matrix
 from station.model.compiled import njit
 
 JORDAN, PAIR, REAL = 0, 1, 2
+ITSELF, EXPONENTIAL, INTEGRAL = 0, 1, 2
+"""Functions of the blocks."""
 
 
 @dataclass(frozen=True)
@@ -47,23 +49,17 @@ class ModalForm:
         columns = self.columns(keep)
         return ModalForm(self.kind[keep], self.eigenvalues[keep], self.basis[:, columns], self.inverse[columns])
 
-    def function(self, scalar: Callable[[np.ndarray], np.ndarray],
-                 derivative_at_zero: float) -> np.ndarray:
-        """f(block) as (4, b): [[f0, f1], [f2, f3]]; a Jordan block at 0 needs f'(0)."""
-        first, second = scalar(self.eigenvalues.T)
-        return _blocks(self.kind, first, second, derivative_at_zero)
+    def rates(self) -> np.ndarray:
+        """A itself, (4, b): of each block [[f0, f1], [f2, f3]]."""
+        return _function(self.kind, self.eigenvalues, ITSELF, 1.0)
 
     def exponential(self, h: float) -> np.ndarray:
         """e^(A h), (4, b)."""
-        return self.function(lambda z: np.exp(z * h), h)
+        return _function(self.kind, self.eigenvalues, EXPONENTIAL, h)
 
     def integral(self, h: float) -> np.ndarray:
         """int_0^h e^(A s) ds, (4, b): the effect of an input held over h."""
-        def scalar(z: np.ndarray) -> np.ndarray:
-            zh = z * h
-            small = np.abs(zh) < 1e-8
-            return h * np.where(small, 1.0 + 0.5 * zh, np.expm1(zh) / np.where(small, 1.0, zh))
-        return self.function(scalar, 0.5 * h * h)
+        return _function(self.kind, self.eigenvalues, INTEGRAL, h)
 
 
 def apply(blocks: np.ndarray, vector: np.ndarray) -> np.ndarray:
@@ -83,17 +79,33 @@ def dense(blocks: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True)
-def _blocks(kind, first, second, derivative):
-    """(4, b) of blocks by their kind; ``first``, ``second`` (b): the function of their eigenvalues."""
+def _scalar(which, z, h):
+    """A function of an eigenvalue."""
+    if which == ITSELF:
+        return z
+    zh = z * h
+    growth = math.exp(zh.real)
+    sine, half = math.sin(zh.imag), math.sin(0.5 * zh.imag)
+    if which == EXPONENTIAL:
+        return complex(growth * math.cos(zh.imag), growth * sine)
+    if abs(zh) < 1e-8:
+        return h * (1.0 + 0.5 * zh)
+    return h * complex(math.expm1(zh.real) - 2.0 * growth * half * half, growth * sine) / zh    # (e^zh - 1) / z
+
+
+@njit(cache=True)
+def _function(kind, eigenvalues, which, h):
+    """(4, b) a function f of every block; of a Jordan block at 0 it holds f(0) and f'(0)."""
     out = np.zeros((4, kind.size))
     for i in range(kind.size):
-        out[0, i], out[3, i] = first[i].real, first[i].real
+        first = _scalar(which, eigenvalues[i, 0], h)
+        out[0, i], out[3, i] = first.real, first.real
         if kind[i] == PAIR:
-            out[1, i], out[2, i] = first[i].imag, -first[i].imag
+            out[1, i], out[2, i] = first.imag, -first.imag
         elif kind[i] == REAL:
-            out[3, i] = second[i].real
+            out[3, i] = _scalar(which, eigenvalues[i, 1], h).real
         else:
-            out[1, i] = derivative
+            out[1, i] = 1.0 if which == ITSELF else h if which == EXPONENTIAL else 0.5 * h * h
     return out
 
 
@@ -146,6 +158,5 @@ def _decouple(a: np.ndarray, assembly: Assembly) -> ModalForm | None:
     except np.linalg.LinAlgError:
         return None
     form = ModalForm(kind, all_values, basis, inverse)
-    blocks = form.function(lambda z: z, 1.0)
-    error = np.linalg.norm(basis @ apply(blocks, inverse) - a) / np.linalg.norm(a)
+    error = np.linalg.norm(basis @ apply(form.rates(), inverse) - a) / np.linalg.norm(a)
     return form if error < 1e-7 else None

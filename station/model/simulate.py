@@ -107,7 +107,7 @@ def _sampled(tables: _Tables, ports: tuple[str, ...], period: float, substeps: i
     n, rotations = parts.size, _rotations(parts, ports)
     inputs = np.column_stack([rig.motor.gain * parts.unit(parts.motor), *rotations])
     forces = whole.inverse[:, n:] @ np.linalg.solve(parts.mass, inputs)
-    rate = whole.function(lambda z: z, 1.0)
+    rate = whole.rates()
     fed_back = [vector for port, vector in zip(ports, rotations, strict=True) if port == "clamp"]
     keep, dropped = _truncate(rig, parts, whole, forces, rate, fed_back, period, truncation)
     form, kept, rate = whole.select(keep), whole.columns(keep), rate[:, keep]

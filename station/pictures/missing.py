@@ -198,7 +198,7 @@ def _ports(rig: Rig, parts: Assembly, form: ModalForm, port: np.ndarray, period:
     rows, feed = [form.basis[parts.base] / rig.angle_per_count], [0.0]
     if channels == 2 and rig.accelerometer is not None and parts.tip is not None:
         tip = rig.accelerometer.gain * form.basis[n + parts.tip]
-        rows.append(tip @ dense(form.function(lambda z: z, 1.0)))
+        rows.append(tip @ dense(form.rates()))
         feed.append(float(tip @ force))
     return dense(form.integral(period)) @ force, np.array(rows), np.array(feed)
 
