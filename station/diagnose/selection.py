@@ -26,7 +26,7 @@ from station.estimation.least_squares import FAR, Fit, fit, inherited, weighing_
 from station.estimation.likelihood import Weighing
 from station.estimation.parameters import Causes, Hypothesis, Key, Parameters, Sizes, parameters
 from station.estimation.prediction import COARSE, FINE, SEARCH, Accuracy, Predictor
-from station.model.effects import Stage
+from station.model.effects import Stage, effect_class
 
 QUICK_STEPS = 8
 THOROUGH: dict[str, Any] = {"iterations": 25, "renewals": 4, "tolerance": 0.2}
@@ -326,26 +326,34 @@ def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
 
 
 def _look_back(search: Selection, found: Fit) -> None:
-    """Fit every set with one cause less, from where the whole set ended: each cause must hold against its absence."""
-    _keep_reduced(search, found, [found.key - {cause} for cause in found.space.hypothesis.causes])
+    """Fit every set with one cause less, or with a simpler law in the place of one that holds it, from where the whole
+    set ended: each cause must hold against its absence, and each law against those that are special cases of it."""
+    hypothesis, sizes = found.space.hypothesis, found.space.values(found.x)
+    less: list[tuple[Hypothesis, Sizes]] = [(hypothesis.without(cause), {}) for cause in hypothesis.causes]
+    for cls, at in hypothesis.effects:
+        for name, its in cls.simpler.items():
+            if (name, at) not in found.key:
+                size = {own: sizes[cls.name, at][of] for own, of in its.items()}
+                instead = hypothesis.without((cls.name, at)) + Hypothesis(((effect_class(name), at),))
+                less.append((instead, {(name, at): size}))
+    _keep_reduced(search, found, less)
 
 
-def _keep_reduced(search: Selection, found: Fit, subsets: Sequence[Causes]) -> None:
-    """Some of a set's causes alone, fitted from where the whole set ended; none that does not simulate."""
+def _keep_reduced(search: Selection, found: Fit, less: Sequence[tuple[Hypothesis, Sizes]]) -> None:
+    """Sets that hold less than another, with sizes of what that does not hold, fitted from where that one ended; none
+    that does not simulate."""
     predictor, found = search.predictor, found.light
     # What explains less may need runs to differ by as much as the rig alone does.
     share, constant = np.maximum(search.own_weighing(found).differ,
                                  search.own_weighing(search.fits[frozenset()]).differ).tolist()
     weighing = replace(search.weighing, differ=(share, constant))
 
-    def reduced(causes: Causes) -> Fit | None:
-        hypothesis = found.space.hypothesis
-        for cause in found.key - causes:
-            hypothesis = hypothesis.without(cause)
-        space = parameters(predictor.data, hypothesis, found.space.values(found.space.mean))
-        return attempted(predictor, space, weighing, space.carried(found.space, found.x), found.own, **THOROUGH)
+    def reduced(one: tuple[Hypothesis, Sizes]) -> Fit | None:
+        hypothesis, sizes = one
+        space = parameters(predictor.data, hypothesis, {**found.space.values(found.space.mean), **sizes})
+        return attempted(predictor, space, weighing, space.carried(found.space, found.x, sizes), found.own, **THOROUGH)
 
-    for one in predictor.pool.map(reduced, subsets):
+    for one in predictor.pool.map(reduced, less):
         if one is not None:
             search.keep(one)
 
@@ -353,7 +361,10 @@ def _keep_reduced(search: Selection, found: Fit, subsets: Sequence[Causes]) -> N
 def fitted(search: Selection, causes: Causes, whole: Causes) -> Fit:
     """The fit of some causes of a set, made where the search has not; of nothing where they do not simulate."""
     if causes not in search.fits:
-        _keep_reduced(search, search.fits[whole], [causes])
+        hypothesis = search.fits[whole].space.hypothesis
+        for cause in whole - causes:
+            hypothesis = hypothesis.without(cause)
+        _keep_reduced(search, search.fits[whole], [(hypothesis, {})])
     return search.fits.get(causes, search.fits[frozenset()])
 
 

@@ -7,11 +7,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from station.diagnose.selection import EFFORTS, Selection, leading
+from station.diagnose.selection import EFFORTS, Selection, _look_back, leading
 from station.diagnose.thresholds import LOG_PRIOR, LOG_PRIOR_PARAMETER
+from station.estimation.least_squares import fit
 from station.estimation.likelihood import Weighing
-from station.estimation.parameters import Hypothesis
+from station.estimation.parameters import Hypothesis, parameters
 from station.model.effects import effect_class
+from tests.estimation.made import AXIS, predictions, runs_of
 
 FRICTION, STRIBECK, CLOCK = ((effect_class(name), at) for name, at in (
     ("coulomb_friction", "motor"), ("stribeck_friction", "motor"), ("clock_scale", "")))
@@ -122,3 +124,24 @@ def test_a_fit_that_stopped_above_what_was_promised_of_its_causes_is_taken_furth
 
 def test_nothing_that_simulates_leaves_nothing_to_take_further() -> None:
     assert leading(searching(), {}, {}) == []
+
+
+def test_a_law_must_hold_against_one_that_it_holds_fitted_from_where_it_ended() -> None:
+    """Friction of two levels explains friction of one: begun from the rig alone the one may have ended anywhere."""
+    torque = 0.03 * AXIS.motor.gain * AXIS.amplifier.limit
+    predictor = predictions(AXIS, runs_of(AXIS.with_effects([FRICTION[0](at="motor", torque=torque)])))
+    search = Selection(predictor, EFFORTS["quick"], Weighing(predictor.counts, 1.0), complete=True)
+
+    def ended(*effects: tuple, sizes: dict, **how: int) -> None:
+        space = parameters(predictor.data, Hypothesis(effects), sizes)
+        search.keep(fit(predictor, space, search.weighing, space.mean.copy(), **how))
+
+    coulomb, stribeck = ("coulomb_friction", "motor"), ("stribeck_friction", "motor")
+    ended(sizes={})
+    ended(FRICTION, sizes={coulomb: {"torque": 0.1 * torque}}, iterations=1)
+    levels = {"static_torque": 1.5 * torque, "coulomb_torque": torque, "stribeck_velocity": 0.2}
+    ended(STRIBECK, sizes={stribeck: levels})
+    assert search.best().key == {stribeck}
+    _look_back(search, search.best())
+    assert search.best().key == {coulomb}
+    assert search.best().space.values(search.best().x)[coulomb]["torque"] == pytest.approx(torque, rel=0.02)

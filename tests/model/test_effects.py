@@ -535,3 +535,16 @@ def test_guesses_of_a_phase_go_all_round(rig, name):
         for phases in rounds.values():
             gaps = np.diff([*sorted(phases), min(phases) + 2.0 * math.pi])
             assert gaps.max() <= 0.5 * math.pi + 1e-9
+
+
+@pytest.mark.parametrize("cls", [cls for cls in catalogue().values() if cls.simpler], ids=lambda cls: cls.name)
+def test_a_law_with_special_cases_is_them_where_it_says_so(cls):
+    """All other parameters of a unit that a special case has are like its own: friction of one level at all speeds."""
+    for name, its in cls.simpler.items():
+        other = effect_class(name)
+        assert set(its) == set(other.parameters()) and set(cls.sites) <= set(other.sites)
+        units = {other.parameters()[own].unit: 0.3 for own in its}
+        p = [units.get(info.unit, 0.7) for info in cls.parameters().values()]
+        for speed in (0.0, 0.1, 0.7, 5.0):
+            theirs = other.law(speed, 0.0, 0.0, [0.3] * len(its), [], 1e-3)
+            assert cls.law(speed, 0.0, 0.0, p, [], 1e-3) == pytest.approx(theirs)

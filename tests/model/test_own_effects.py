@@ -103,6 +103,9 @@ def test_the_option_brings_a_file_and_says_so_to_the_processes_that_follow(tmp_p
     (EFFECT.format(name="own_drag", law="0.0", body='coefficient: float = parameter("1", 0.0)'), "neutral value"),
     (EFFECT.format(name="own_drag", law="0.0", body='rate: float = parameter("Hz", 0.0, neutral=0.0)'), "is made of"),
     (EFFECT.format(name="own_drag", law="0.0", body=PARAMETER + '\n    picture = "nice"'), "picture is one of"),
+    (EFFECT.format(name="own_drag", law="0.0", body=PARAMETER
+                   + '\n    simpler = {"coulomb_friction": {"torque": "none"}}'),
+     "simpler: coulomb_friction is made of parameters of this effect, not of none"),
     (EFFECT.format(name="own_drag", law="0.0", body=PARAMETER + "\n    states = 1"), "has no states"),
     (EFFECT.format(name="own_drag", law="0.0", body=PARAMETER + '\n    absolute = "rest"'), "names no parameter"),
     (EFFECT.format(name="own_drag", law="0.0", body=PARAMETER + '\n    experiment: ClassVar = {"kind": "kick"}'),
@@ -173,7 +176,7 @@ def test_the_page_on_own_effects_says_what_the_code_says():
     module = ast.parse(Path(base.__file__).read_text(encoding="utf-8"))
     effect = next(node for node in module.body if isinstance(node, ast.ClassDef) and node.name == "Effect")
     told = [node.value.value for node in effect.body[1:] if isinstance(node, ast.Expr)]
-    assert len(told) == 12
+    assert len(told) == 13
     rows = [line for line in ast.get_docstring(module).splitlines() if re.match("[A-Z_]{3,} {2,}", line)]
     assert len(rows) == 9
     for words in [*told, *(cell for row in rows for cell in re.split(" {2,}", row))]:

@@ -33,7 +33,7 @@ from __future__ import annotations
 import inspect
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -130,6 +130,9 @@ class Effect(BaseModel):
     """Tables that the rig must have; the table of the place is always needed."""
     absolute: ClassVar[str | None] = None
     """The parameter that refers to the absolute angle, if any: it shifts with a run's encoder zero."""
+    simpler: ClassVar[Mapping[str, Mapping[str, str]]] = {}
+    """Effects that this one holds as special cases, and must hold against: by name, which of its parameters each of
+    theirs is."""
     picture: ClassVar[str] = "time"
     """The picture that shows it, one of PICTURES: what the residual is drawn against in a report."""
     experiment: ClassVar[dict[str, Any]] = {}
@@ -217,6 +220,9 @@ def _problems(cls: type[Effect]) -> Iterator[str]:
         yield "law is a function of x, v, w, p, s, h"
     if cls.states and cls.stage not in STATEFUL:
         yield f"a {cls.stage.value} has no states: its law is called several times in a step"
+    for name, its in cls.simpler.items():
+        if not set(its.values()) <= set(cls.parameters()):
+            yield f"simpler: {name} is made of parameters of this effect, not of {', '.join(its.values())}"
     if cls.picture not in PICTURES:
         yield f"picture is one of {', '.join(sorted(PICTURES))}, not {cls.picture!r}"
     if cls.experiment:

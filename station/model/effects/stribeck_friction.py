@@ -20,6 +20,7 @@ class StribeckFriction(Effect):
     name, title = "stribeck_friction", "Stribeck friction"
     sites: ClassVar = ("motor",)
     stage, law = Stage.FRICTION, level
+    simpler: ClassVar = {"coulomb_friction": {"torque": "coulomb_torque"}}
     picture = "speed"
     experiment: ClassVar = {"kind": "triangle", "amplitude": 60}
     telling = "slow reversals stick and break loose; Coulomb friction has the same level before and after"
