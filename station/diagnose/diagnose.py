@@ -79,7 +79,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
         spoken = finding.by_law.causes
         laws = {key: spoken[key] for key in said.causes if spoken[key] != finding.odds.causes.get(key)}
         order, told = in_order(replace(told, causes={**told.causes, **laws}), said.causes,
-                               partial(bought, search, said.causes))
+                               partial(bought, search, said.causes), finding.odds.draws.error)
     told = told if finding.left.is_noise else with_outside(told)
     causes = [Cause(effect=key[0], at=key[1], probability=min(told.causes[key], 1.0), parameters=values[key],
                     stability=min(finding.by_law.stability.get(key, 0.0), 1.0),

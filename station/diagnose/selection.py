@@ -75,15 +75,15 @@ class Selection:
     _weighed: WeakKeyDictionary[Fit, tuple[Weighing, float, float]] = field(default_factory=WeakKeyDictionary)
     """Under the weighing in force: each fit's own, its evidence, and the price of its own."""
 
-    def evidence(self, found: Fit, drawn: np.ndarray | None = None) -> float:
-        """Log evidence of a set of causes, up to a constant; ``drawn``: of resampled stretches.
+    def evidence(self, found: Fit) -> float:
+        """Log evidence of a set of causes, up to a constant.
 
         How much runs differ is each set's own: what is most likely of all data, at the price of saying so.  Where
         something is left that no hypothesis holds, that they differ is a part of it.  Where nothing is, it is one more
         thing that acts, no likelier beforehand than any one cause, and a set may do without.
         """
-        own, whole, price = self._own(found)
-        return price + (whole if drawn is None else found.log_evidence(own, drawn))
+        _, whole, price = self._own(found)
+        return price + whole
 
     def own_weighing(self, found: Fit) -> Weighing:
         """The weighing with what runs differ by by this set of causes."""
@@ -105,13 +105,20 @@ class Selection:
         price = found.log_narrowing(own) + (LOG_PRIOR if self.complete else 0.0)
         return own, found.log_evidence(own), float(price @ may)
 
-    def score(self, found: Fit, drawn: np.ndarray | None = None) -> float:
-        """Log posterior of a set of causes, up to a constant; ``drawn``: of resampled stretches."""
+    def score(self, found: Fit) -> float:
+        """Log posterior of a set of causes, up to a constant."""
         hypothesis = found.space.hypothesis
         further = sum(len(cls.parameters()) - 1 for cls, _ in hypothesis.effects) + found.space.zeros
-        score = (self.evidence(found, drawn) + LOG_PRIOR * len(hypothesis.causes)
+        score = (self.evidence(found) + LOG_PRIOR * len(hypothesis.causes)
                  + LOG_PRIOR_PARAMETER * further + self.clock_score(hypothesis))
         return score if np.isfinite(score) else -np.inf
+
+    def scores(self, found: Fit, drawn: np.ndarray) -> np.ndarray:
+        """(k) the same of resampled stretches, ``drawn`` (k, s)."""
+        own = self.own_weighing(found)
+        again = found.log_evidences(own, np.array(own.differ), drawn)
+        scores = self.score(found) + (again - found.log_evidence(own))
+        return np.where(np.isfinite(scores), scores, -np.inf)
 
     def clock_score(self, hypothesis: Hypothesis) -> float:
         """What the clocks' own comparison says against a hypothesis that leaves the board's clock right."""

@@ -21,6 +21,7 @@ from station.estimation.likelihood import (
     cost,
     differ_precision,
     nuisance_precision,
+    rho,
     temperatures,
 )
 from station.estimation.parameters import Parameters
@@ -143,13 +144,14 @@ class Fit(_Point):
         return replace(self, jacobian=None)
 
     def blocks(self, weighing: Weighing, drawn: np.ndarray | None = None) -> np.ndarray:
-        """(runs, b) weights W of the blocks at this fit; ``drawn`` (s): how often each stretch counts."""
+        """(..., runs, b) weights W of the blocks at this fit; ``drawn`` (..., s): how often each stretch counts in each
+        resample."""
         squares, counts, independent = self.drawn(weighing, drawn)
         return independent / np.maximum(squares, counts) / weighing.temperature
 
     def drawn(self, weighing: Weighing, drawn: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Squares, counts and independent errors (runs, b) of a resample."""
-        info, many = self.information, 1.0 if drawn is None else drawn[:, None]
+        """Squares, counts and independent errors (..., runs, b) of resamples."""
+        info, many = self.information, 1.0 if drawn is None else drawn[..., None]
         counts = np.maximum(self._summed(many * info.counts), 1e-9)
         independent = weighing.independent * counts / np.maximum(self._summed(info.counts), 1e-9)
         return self._summed(many * info.squares), counts, independent
@@ -172,27 +174,31 @@ class Fit(_Point):
         return found
 
     def _by_run(self, weighing: Weighing, drawn: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """J'WJ (runs, p + c, p + c) and J'We (runs, p + c)."""
-        w = self.blocks(weighing, drawn)[self.owner] * (1.0 if drawn is None else drawn[:, None])
-        return (self._summed(np.einsum("sb,sbij->sij", w, self.information.normal)),
-                self._summed(np.einsum("sb,sbi->si", w, self.information.gradient)))
+        """J'WJ (..., runs, p + c, p + c) and J'We (..., runs, p + c)."""
+        info, w = self.information, self.blocks(weighing, drawn)[..., self.owner, :]
+        w = w if drawn is None else w * drawn[..., None]
+        return (np.stack([np.tensordot(w[..., own, :], info.normal[own], 2) for own in self._owned], axis=-3),
+                np.stack([np.tensordot(w[..., own, :], info.gradient[own], 2) for own in self._owned], axis=-2))
+
+    @cached_property
+    def _owned(self) -> np.ndarray:
+        """(runs, s) whether a stretch is a run's."""
+        return self.owner == np.arange(len(self.squares))[:, None]
 
     def _summed(self, stretches: np.ndarray) -> np.ndarray:
-        """Sums (runs, ...) over the stretches (s, ...) of each run."""
-        sums = np.zeros((len(self.squares), *stretches.shape[1:]))
-        np.add.at(sums, self.owner, stretches)
-        return sums
+        """Sums (..., runs, b) over the stretches (..., s, b) of each run."""
+        return self._owned.astype(float) @ stretches
 
     def _eliminated(self, matrices: np.ndarray, slopes: np.ndarray, own: np.ndarray,
                     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Normal matrices and gradients of the parameters alone, run by run; (..., runs, c, c) the inverse precisions
         of what runs have of their own at given parameters, and (..., runs, c) their forces."""
         p = self.space.size
-        inverse = np.linalg.inv(matrices[:, p:, p:] + own[..., None] * np.eye(own.shape[-1]))
-        force = slopes[:, p:] - own * self.away
-        across = matrices[:, :p, p:] @ inverse
-        return (matrices[:, :p, :p] - across @ matrices[:, p:, :p],
-                slopes[:, :p] - (across @ force[..., None])[..., 0], inverse, force)
+        inverse = np.linalg.inv(matrices[..., p:, p:] + own[..., None] * np.eye(own.shape[-1]))
+        force = slopes[..., p:] - own * self.away
+        across = matrices[..., :p, p:] @ inverse
+        return (matrices[..., :p, :p] - across @ matrices[..., p:, :p],
+                slopes[..., :p] - (across @ force[..., None])[..., 0], inverse, force)
 
     def _integrated(self, matrices: np.ndarray, slopes: np.ndarray, own: np.ndarray, most_gained: float = np.inf,
                     ) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -204,7 +210,7 @@ class Fit(_Point):
         normals, gradients, inverse, force = self._eliminated(matrices, slopes, own)
         matrix = normals.sum(axis=-3) + np.diag(prior)
         step = np.linalg.solve(matrix, (gradients.sum(axis=-2) - prior * off)[..., None])[..., 0]
-        back = matrices[:, p:, :p] @ step[..., None, :, None]
+        back = matrices[..., p:, :p] @ step[..., None, :, None]
         moved = (inverse @ (force[..., None] - back))[..., 0]
         shared = np.broadcast_to(step[..., None, :], (*moved.shape[:-1], p))
         whole = np.concatenate([shared, moved], axis=-1)
@@ -271,18 +277,20 @@ class Fit(_Point):
         """Posterior covariance (p, p) under the fit's own weighing."""
         return np.linalg.pinv(self.normal(self.weighing)[0] + np.diag(self.space.precision), hermitian=True)
 
-    def log_evidence(self, weighing: Weighing, drawn: np.ndarray | None = None) -> float:
+    def log_evidence(self, weighing: Weighing) -> float:
         """Laplace's approximation of ln p(data | hypothesis), up to a constant of the data.
 
-        Under another weighing, or of a resample, one Gauss-Newton step is taken from the fit.
+        Under another weighing one Gauss-Newton step is taken from the fit.
         """
-        return float(self.log_evidences(weighing, np.array(weighing.differ), drawn))
+        return float(self.log_evidences(weighing, np.array(weighing.differ)))
 
     def log_evidences(self, weighing: Weighing, sizes: np.ndarray, drawn: np.ndarray | None = None) -> np.ndarray:
-        """(...) the same where runs differ by ``sizes`` (..., 2) in place of ``weighing.differ``."""
+        """(...) the same where runs differ by ``sizes`` (..., 2) in place of ``weighing.differ`` and stretches count as
+        often as ``drawn`` (..., s) says; the two are broadcast."""
         squares, counts, independent = self.drawn(weighing, drawn)
         value, volume, _ = self._integrated(*self._by_run(weighing, drawn), self.own_precision(sizes), MOST_GAINED)
-        return 0.5 * (volume - value) - 0.5 * cost(squares, counts, independent) / weighing.temperature
+        costs = np.sum(independent * rho(squares / counts), axis=(-2, -1))
+        return 0.5 * (volume - value - costs / weighing.temperature)
 
 
 MOST_GAINED = 20.0

@@ -87,8 +87,7 @@ def differences(found: Fit, weighing: Weighing, drawn: np.ndarray) -> tuple[Diff
     ``drawn`` (k, s): how often each stretch counts in every resample."""
     share, constant = found.most_likely_differ(weighing)
     sizes = np.array([[share, constant], [0.0, constant], [share, 0.0]])
-    whole, *draws = (found.log_evidences(weighing, sizes, weights) for weights in (None, *drawn))
-    resampled = np.array(draws).reshape(-1, 3)
+    whole, resampled = found.log_evidences(weighing, sizes), found.log_evidences(weighing, sizes, drawn[:, None])
     first, second = (Difference(size, float(2.0 * (whole[0] - whole[k])), resampled[:, 0] - resampled[:, k])
                      for k, size in ((1, share), (2, constant)))
     return first, second

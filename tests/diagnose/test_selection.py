@@ -31,7 +31,8 @@ def found(evidence: float, *effects: tuple, constants: tuple[str, ...] = (), nar
     """``lost``: what the evidence loses where runs are held alike in their share of the command, and in a constant."""
     hypothesis = Hypothesis(effects, constants)
     made = Found(space=SimpleNamespace(hypothesis=hypothesis, zeros=0), key=hypothesis.key,
-                 log_evidence=lambda weighing, drawn=None: evidence - np.dot(lost, np.equal(weighing.differ, 0.0)),
+                 log_evidence=lambda weighing: evidence - np.dot(lost, np.equal(weighing.differ, 0.0)),
+                 log_evidences=lambda weighing, sizes, drawn: evidence - np.dot(lost, np.equal(sizes, 0.0)) - drawn,
                  most_likely_differ=lambda weighing, may: tuple(map(float, may)),
                  log_narrowing=lambda weighing: np.array([narrowed, 0.0]))
     made.light = made
@@ -55,8 +56,8 @@ def test_each_cause_and_each_further_parameter_costs_its_prior() -> None:
 
 def test_sizes_of_differences_that_runs_single_out_cost_what_singling_out_costs() -> None:
     search = searching()
-    one, drawn = found(10.0, narrowed=-3.0), np.ones(1)
-    assert search.score(one) == search.score(one, drawn) == 7.0
+    one, drawn = found(10.0, narrowed=-3.0), np.array([0.0, 2.0, np.inf])
+    assert search.score(one) == 7.0 and search.scores(one, drawn).tolist() == [7.0, 5.0, -np.inf]
 
 
 def test_where_only_noise_is_left_that_runs_differ_costs_what_a_cause_does_and_a_set_may_do_without() -> None:

@@ -90,10 +90,31 @@ def test_sums_over_stretches_are_those_of_the_whole(fitted: Fit) -> None:
 
 
 def test_drawing_every_stretch_once_changes_nothing(fitted: Fit, weighing: Weighing) -> None:
-    ones = np.ones(len(fitted.owner))
-    assert fitted.log_evidence(weighing, ones) == pytest.approx(fitted.log_evidence(weighing), rel=1e-12)
+    ones, sizes = np.ones(len(fitted.owner)), np.array(weighing.differ)
+    once, twice = fitted.log_evidences(weighing, sizes, np.stack([ones, 2.0 * ones]))
+    assert once == pytest.approx(fitted.log_evidence(weighing), rel=1e-12)
     np.testing.assert_allclose(fitted.blocks(weighing, ones), fitted.blocks(weighing))
-    assert fitted.log_evidence(weighing, 2.0 * ones) != pytest.approx(fitted.log_evidence(weighing), rel=1e-3)
+    assert twice != pytest.approx(once, rel=1e-3)
+
+
+def test_resamples_and_sizes_are_worked_out_together_as_one_by_one(fitted: Fit, weighing: Weighing) -> None:
+    drawn = np.random.default_rng(3).exponential(size=(4, len(fitted.owner)))
+    sizes = np.array([[0.0, 0.0], [0.1, 1.0], [0.3, 0.0]])
+    together = fitted.log_evidences(weighing, sizes, drawn[:, None])
+    assert together.shape == (4, 3)
+    for k, many in enumerate(drawn):
+        for m, size in enumerate(sizes):
+            assert together[k, m] == pytest.approx(float(fitted.log_evidences(weighing, size, many)), rel=1e-10)
+    # A resample is the same fit to the same errors, of which some stand there so often.
+    info = fitted.information
+    again = replace(fitted, information=replace(info, squares=info.squares * drawn[0][:, None],
+                                                counts=info.counts * drawn[0][:, None],
+                                                normal=info.normal * drawn[0][:, None, None, None],
+                                                gradient=info.gradient * drawn[0][:, None, None]))
+    squares, counts, independent = fitted.drawn(weighing, drawn[0])
+    other = replace(weighing, independent=independent)
+    again = replace(again, squares=squares, counts=counts)
+    assert float(again.log_evidences(other, sizes[0])) == pytest.approx(together[0, 0], rel=1e-10)
 
 
 def test_eliminating_each_runs_nuisances_is_solving_for_all_at_once(fitted: Fit, weighing: Weighing) -> None:
