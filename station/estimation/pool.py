@@ -124,9 +124,9 @@ class _Helper:
         apart: dict[str, Any] = {"start_new_session": True}     # Ctrl-C is for this process, which ends the others
         if sys.platform == "win32":
             apart = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW}
-        self.process = subprocess.Popen([sys.executable, "-c", BEGIN, json.dumps(sys.path), prepare],
-                                        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-                                        env={**os.environ, **ONE_THREAD}, **apart)
+        self.process = subprocess.Popen(    # -P: nothing is imported from the folder that this process happens to be in
+            [sys.executable, "-P", "-c", BEGIN, json.dumps(sys.path), prepare], stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env={**os.environ, **ONE_THREAD}, **apart)
         assert self.process.stdin is not None and self.process.stdout is not None
         self.asked, self.answers = self.process.stdin, self.process.stdout
         self.alive, self.ready = True, False

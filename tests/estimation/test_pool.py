@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
@@ -125,12 +126,15 @@ def test_two_threads_do_not_wait_for_each_other(pool: Pool) -> None:
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 @pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL, None])
-def test_no_process_is_left_behind(end: signal.Signals | None) -> None:
+def test_no_process_is_left_behind(end: signal.Signals | None, tmp_path: Path) -> None:
+    """Begun in a folder with a module of a name that they import."""
+    (tmp_path / "json.py").write_text("raise RuntimeError", encoding="utf-8")
     script = ("import sys, time; from station.estimation.pool import Pool, _beside; Pool(3)\n"
               "while not all(h.ready for h in _beside.helpers): time.sleep(0.01)\n"
               "print(*[h.process.pid for h in _beside.helpers], flush=True)\n"
               "sys.stdin.read()")
-    child = subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    child = subprocess.Popen([sys.executable, "-P", "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+                             cwd=tmp_path)
     assert child.stdin is not None and child.stdout is not None
     helpers = [int(text) for text in child.stdout.readline().split()]
     assert len(helpers) == 2
