@@ -133,8 +133,8 @@ def test_no_process_is_left_behind(end: signal.Signals | None, tmp_path: Path) -
               "while not all(h.ready for h in _beside.helpers): time.sleep(0.01)\n"
               "print(*[h.process.pid for h in _beside.helpers], flush=True)\n"
               "sys.stdin.read()")
-    child = subprocess.Popen([sys.executable, "-P", "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-                             cwd=tmp_path)
+    child = subprocess.Popen([sys.executable, "-P", "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                             text=True, cwd=tmp_path)
     assert child.stdin is not None and child.stdout is not None
     helpers = [int(text) for text in child.stdout.readline().split()]
     assert len(helpers) == 2
