@@ -42,7 +42,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print("station: interrupted", file=sys.stderr)
     finally:
         interruption.end()
-    gc.freeze()     # or Python looks through all that numba and plots have imported once more, for 0.3 s
+    if arguments is None:   # the program ends: or Python looks through all that was imported once more, for 0.3 s
+        gc.freeze()
     sys.exit(status)
 
 
