@@ -6,8 +6,8 @@
 Seeds follow one another through the hidden causes, each case in every world and with every effort; a seed whose five
 runs together do not have so many rows is passed over, for their tests last from 2 to 22 s.  Wanted over all (median /
 95th percentile): 12 / 45 s, quick 6 / 12 s, of 6,500 rows on 2 cores, from the command to the file.  Beside it the
-floor: the CPU that the predictions inside the fits take alone, measured in the same run.  Unix only (resource usage of
-a child).
+floor: the CPU that the predictions inside the fits take alone, measured in the same run by one process.  The peak is
+that of the largest process.  Unix only (resource usage of a child).
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def counted(*given, **named):
 prediction._predicted = counted
 runs = [load_run(path) for path in sys.argv[2:]]
 cpu = time.process_time()
-diagnose(load_rig("sflr"), runs, effort=sys.argv[1])
+diagnose(load_rig("sflr"), runs, effort=sys.argv[1], threads=1)     # all of them in this process
 print(json.dumps({"calls": calls, "predictions": spent, "cpu": time.process_time() - cpu}))
 """
 

@@ -19,8 +19,9 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from station.campaign.outcome import Task
-from station.campaign.processes import RETRIES, THREADS, Work, lost_line
+from station.campaign.processes import RETRIES, Work, lost_line
 from station.errors import UsageError, WorkError
+from station.estimation.pool import ONE_THREAD
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -87,7 +88,7 @@ def local_client(workers: int) -> Iterator[Client]:
     import dask
     from distributed import Client, LocalCluster
 
-    for name, value in THREADS.items():
+    for name, value in ONE_THREAD.items():
         os.environ.setdefault(name, value)
     with dask.config.set({"distributed.scheduler.allowed-failures": RETRIES}), LocalCluster(
             n_workers=workers, threads_per_worker=1, processes=True, host=LOCAL, dashboard_address=f"{LOCAL}:0",

@@ -11,11 +11,10 @@ from multiprocessing.connection import Connection, wait
 from typing import Any, cast
 
 from station.campaign.outcome import Task
+from station.estimation.pool import ONE_THREAD
 
 RETRIES = 3
 """How often a task is begun again whose worker was lost."""
-THREADS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-"""Read once, when NumPy is imported: the workers share the cores already."""
 
 Work = Callable[[Task], dict[str, Any]]
 
@@ -61,7 +60,7 @@ class _Worker:
 
     def __init__(self, work: Work) -> None:
         context = get_context("spawn")
-        for name, value in THREADS.items():
+        for name, value in ONE_THREAD.items():
             os.environ.setdefault(name, value)
         self.line, there = context.Pipe()
         self.process = context.Process(target=_serve, args=(there, work), daemon=True)

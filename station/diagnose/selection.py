@@ -115,9 +115,8 @@ class Selection:
 
     def scores(self, found: Fit, drawn: np.ndarray) -> np.ndarray:
         """(k) the same of resampled stretches, ``drawn`` (k, s)."""
-        own = self.own_weighing(found)
-        again = found.log_evidences(own, np.array(own.differ), drawn)
-        scores = self.score(found) + (again - found.log_evidence(own))
+        own, whole, _ = self._own(found)
+        scores = self.score(found) + (found.log_evidences(own, np.array(own.differ), drawn) - whole)
         return np.where(np.isfinite(scores), scores, -np.inf)
 
     def clock_score(self, hypothesis: Hypothesis) -> float:

@@ -15,7 +15,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from operator import methodcaller
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -82,7 +81,7 @@ class _Held:
 
 
 def rigid_starts(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
-                 before: Mapping[str, float] = MappingProxyType({})) -> tuple[list[Start], dict[str, float]]:
+                 before: Mapping[str, float]) -> tuple[list[Start], dict[str, float]]:
     """A parent's hypothesis with a joint as good as rigid, once for each joint with which longer and longer beginnings
     of the runs are met better than by the parent where it stands; and, by joint, with how many sigmas they are met
     best: how stiff it is beside other causes need not be looked for again (``before``).

@@ -358,8 +358,8 @@ class _Descent:
         shared = [k for k in (range(size) if known is None else range(len(self.space.paths), p))
                   if not places.start <= k < places.stop]
         pool = self.predictor.pool
-        for some, columns in zip(parts := np.array_split(shared, pool.size), pool.map(
-                partial(self.columns, here), parts), strict=True):
+        parts = np.array_split(shared, pool.size)
+        for some, columns in zip(parts, pool.map(partial(self.columns, here), parts), strict=True):
             for k, column in zip(some, columns, strict=True):
                 for row, changes in zip(rows, column, strict=True):
                     row[k] = changes

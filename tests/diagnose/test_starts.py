@@ -76,7 +76,7 @@ def test_a_joint_that_hardly_yields_is_begun_where_the_fit_ends_as_from_the_trut
     case = make_case(8306, nominal=true, count=4)
     predictor = predictions(ARM, list(case.runs))
     parent = base_fit(predictor)
-    starts, _ = rigid_starts(predictor, parent, candidates(predictor.data.rig))
+    starts, _ = rigid_starts(predictor, parent, candidates(predictor.data.rig), {})
     (begun,) = [start for start in starts if start.candidate.constant == joint]
     drawn, nominal = Rig.model_validate(case.rig).constants(), ARM.constants()
     logs = [math.log(drawn[path] / nominal[path]) if path in drawn else 0.0 for path in begun.space.paths]
@@ -92,7 +92,7 @@ def test_a_joint_that_hardly_yields_is_begun_where_the_fit_ends_as_from_the_trut
 def test_a_joint_that_yields_as_the_rig_file_says_is_not_held_against_the_runs() -> None:
     """What meets the beginnings worse than the rig does where it stands is given up before whole runs are fitted."""
     predictor = predictions(ARM, runs_of(8301, "base", "inertia", 1.0))
-    starts, _ = rigid_starts(predictor, base_fit(predictor), candidates(predictor.data.rig))
+    starts, _ = rigid_starts(predictor, base_fit(predictor), candidates(predictor.data.rig), {})
     assert "clamp.stiffness" not in [start.candidate.constant for start in starts]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
@@ -22,9 +21,9 @@ from tests.truth import make_case
 
 
 @pytest.fixture(scope="module")
-def predictor() -> Iterator[Predictor]:
+def predictor() -> Predictor:
     true = AXIS.with_constants({"motor.damping": 1.1 * AXIS.motor.damping})
-    yield Predictor(dataset(AXIS, runs_of(true)), observers(AXIS, 0.0), Pool())
+    return Predictor(dataset(AXIS, runs_of(true)), observers(AXIS, 0.0), Pool())
 
 
 def test_a_horizon_that_is_looked_at_three_times_says_no_more_than_once(predictor: Predictor) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -28,10 +27,10 @@ TORQUE = 0.02 * AXIS.motor.gain * AXIS.amplifier.limit
 
 
 @pytest.fixture(scope="module")
-def predictor() -> Iterator[Predictor]:
+def predictor() -> Predictor:
     true = AXIS.with_constants({"motor.damping": 1.1 * AXIS.motor.damping})
     true = true.with_effects([FRICTION(at="motor", torque=TORQUE)])
-    yield Predictor(dataset(AXIS, runs_of(true)), observers(AXIS, 0.0), Pool())
+    return Predictor(dataset(AXIS, runs_of(true)), observers(AXIS, 0.0), Pool())
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import pickle
-import signal
 import subprocess
 import sys
 import threading
@@ -12,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 
 from station.estimation import pool as module
@@ -73,7 +73,7 @@ def test_what_a_lost_process_leaves_is_done_here(pool: Pool) -> None:
     def deadly(part: int) -> int:
         time.sleep(0.02)
         if os.getpid() != mine:
-            os.kill(os.getpid(), signal.SIGKILL)
+            os._exit(1)
         return part
 
     assert list(pool.map(deadly, range(6))) == list(range(6))
@@ -124,9 +124,8 @@ def test_two_threads_do_not_wait_for_each_other(pool: Pool) -> None:
     assert [[part for part, _ in parts] for parts in found] == [list(range(5))] * 3
 
 
-@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL, None])
-def test_no_process_is_left_behind(end: signal.Signals | None, tmp_path: Path) -> None:
+@pytest.mark.parametrize("end", ["its own", "terminated", "killed"])
+def test_no_process_is_left_behind(end: str, tmp_path: Path) -> None:
     """Begun in a folder with a module of a name that they import."""
     (tmp_path / "json.py").write_text("raise RuntimeError", encoding="utf-8")
     script = ("import sys, time; from station.estimation.pool import Pool, _beside; Pool(3)\n"
@@ -138,19 +137,14 @@ def test_no_process_is_left_behind(end: signal.Signals | None, tmp_path: Path) -
     assert child.stdin is not None and child.stdout is not None
     helpers = [int(text) for text in child.stdout.readline().split()]
     assert len(helpers) == 2
-    if end is None:
-        child.stdin.close()
-    else:
-        child.send_signal(end)
+    {"its own": child.stdin.close, "terminated": child.terminate, "killed": child.kill}[end]()
     child.wait(20.0)
 
     def gone(process: int) -> bool:
         try:
-            os.kill(process, 0)
-        except ProcessLookupError:
+            return psutil.Process(process).status() == psutil.STATUS_ZOMBIE     # dead, and not yet asked for
+        except psutil.NoSuchProcess:
             return True
-        with open(f"/proc/{process}/stat") if os.path.exists(f"/proc/{process}/stat") else open(os.devnull) as file:
-            return " Z " in file.read()     # dead, and not yet asked for
 
     until(lambda: all(gone(process) for process in helpers))
     child.stdout.close()
