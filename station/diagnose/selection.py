@@ -72,6 +72,8 @@ class Selection:
     """By joint, how many sigmas above nominal it was held best where it hardly yields (``rigid_starts``)."""
     complete: bool = False
     """Whether what the weighing was read off leaves nothing but noise."""
+    weighed_by: Causes = frozenset()
+    """The set that it was read off."""
     _weighed: WeakKeyDictionary[Fit, tuple[Weighing, float, float]] = field(default_factory=WeakKeyDictionary)
     """Under the weighing in force: each fit's own, its evidence, and the price of its own."""
 
@@ -146,7 +148,14 @@ class Selection:
         """Take what a fit leaves for what models of this rig leave."""
         self.weighing = weighing_of(self.predictor, found)
         self.complete = remainder(self.predictor, found).is_noise
+        self.weighed_by = found.key
         self._weighed.clear()
+
+    @property
+    def outdated(self) -> bool:
+        """Whether the weighing was read off another set than the best, or before that one had arrived."""
+        best = self.best()
+        return best.key != self.weighed_by or remainder(self.predictor, best).is_noise != self.complete
 
 
 def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float], None]) -> Selection:
@@ -171,16 +180,24 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
         best = search.best()
         if len(best.key) <= rung and 2.0 * (search.score(best) - search.score(search.fits[parent.key])) < WORTH_A_FIT:
             break  # the same set, or one that these runs do not tell from it
-        rivals = search.close(1 + effort.finished)[1:]
-        best = settled(predictor, best)
-        search.weigh(best)
-        search.keep(best)
-        _refit(search, rivals, False)  # as the best was: where the weighing changed theirs are not comparable
-        _look_back(search, best)
+        _look_back(search, _weighed(search, best))
+        if search.outdated:
+            _weighed(search, search.best())
         parent = _with_derivatives(search, search.best())
     progress("fitting rivals as far as the best", 0.82)
     _finish(search)
     return search
+
+
+def _weighed(search: Selection, best: Fit) -> Fit:
+    """The best set, settled under the weighing that it gives, and its rivals fitted again: where the weighing changed
+    theirs are not comparable."""
+    rivals = search.close(1 + search.effort.finished)[1:]
+    best = settled(search.predictor, best)
+    search.weigh(best)
+    search.keep(best)
+    _refit(search, rivals, False)
+    return best
 
 
 def _with_derivatives(search: Selection, found: Fit) -> Fit:
@@ -381,6 +398,6 @@ def _finish(search: Selection) -> None:
         close = search.close(2 * search.effort.finished)
         subsets = [f for f in search.fits.values() if f.key < best.key and f not in close]
         _refit(search, [*close, *subsets], True)
-        if last or search.best().key == best.key:
+        if last or not search.outdated:
             break
         search.weigh(search.best())

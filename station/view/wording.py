@@ -66,11 +66,11 @@ def decimal(value: float) -> str:
 
 
 def percent(share: float | None) -> str:
-    """A share as a percentage: ``0.4 %``, ``41 %``; a dash for None."""
+    """A share as a percentage: ``0.03 %``, ``0.4 %``, ``41 %``; a dash for None."""
     if share is None or not math.isfinite(share):
         return "–"
     value = 100.0 * share
-    decimals = 0 if abs(value) >= 9.95 or value == 0.0 else 1
+    decimals = 0 if abs(value) >= 9.95 or value == 0.0 else 1 if abs(value) >= 0.095 else 2
     return f"{round(value, decimals) + 0.0:.{decimals}f} %".replace("-", "−")
 
 

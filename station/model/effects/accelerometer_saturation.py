@@ -25,4 +25,5 @@ class AccelerometerSaturation(Effect):
 
     @classmethod
     def guesses(cls, rig, at):
-        return [{"limit": value} for value in (120.0, 85.0, 60.0, 42.0, 30.0, 20.0, 12.0, 8.0)]
+        per_unit = abs(rig.accelerometer.gain)  # limits in m/s^2, from ten g to less than one
+        return [{"limit": value * per_unit} for value in (105.0, 74.0, 52.0, 37.0, 26.0, 17.5, 10.5, 7.0)]

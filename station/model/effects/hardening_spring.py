@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from station.model.effects.base import Effect, Stage, parameter
+from station.model.effects.base import Effect, Stage, parameter, torque_scale
 
 
 def torque(x, v, w, p, s, h):
@@ -26,5 +26,6 @@ class HardeningSpring(Effect):
     @classmethod
     def guesses(cls, rig, at):
         stiffness = getattr(rig, at).stiffness
-        reach = 0.5 if at == "drive" else 0.1
+        # A soft joint bends as far as tests move it, a stiff one as far as a fifth of the motor's torque bends it.
+        reach = min(0.5 if at == "drive" else 0.1, 0.2 * torque_scale(rig) / stiffness)
         return [{"cubic": share * stiffness / reach**2} for share in (-0.3, 0.3, 3.0)]
