@@ -58,6 +58,10 @@ class Candidate:
         """This cause alone."""
         return Hypothesis((), (self.constant,)) if self.effect is None else Hypothesis(((self.effect, self.at),))
 
+    def sized(self, guess: dict[str, float], factor: float) -> dict[str, float]:
+        """A guess so many times as large; a constant has none."""
+        return guess if self.effect is None else self.effect.sized(guess, factor)
+
     def beside(self, data: Dataset, fit: Fit, guess: dict[str, float]) -> tuple[Parameters, np.ndarray]:
         """The parameters of a fit's hypothesis with this cause at a guess beside it, and where in them it begins."""
         base = fit.space

@@ -54,7 +54,12 @@ class Screened:
     @property
     def start(self) -> Sizes:
         """Sizes from which a fit begins, within bounds."""
-        return {self.candidate.key: scaled(self.candidate, self.guess, min(max(self.size, 1e-3), 5.0))}
+        return {self.candidate.key: self.candidate.sized(self.guess, min(max(self.size, 1e-3), 5.0))}
+
+    @property
+    def usual(self) -> dict[str, float]:
+        """The same, no larger than the guess (``Effect.usual``)."""
+        return self.candidate.sized(self.guess, min(max(self.size, 1e-3), 1.0))
 
 
 @dataclass(frozen=True)
@@ -83,16 +88,6 @@ class _Row:
                        size=self.factor * math.hypot(*sizes))
 
 
-def scaled(candidate: Candidate, guess: dict[str, float], factor: float) -> dict[str, float]:
-    """A guess so many times its distance from neutral, within bounds."""
-    moved = dict(guess)
-    for name, value in guess.items():
-        info = candidate.effect.parameters()[name]
-        if info.neutral is not None and math.isfinite(info.neutral) and not info.periodic:
-            moved[name] = min(max(info.neutral + factor * (value - info.neutral), info.low), info.high)
-    return moved
-
-
 def turned(candidate: Candidate, guess: dict[str, float], sizes: np.ndarray) -> dict[str, float]:
     """A guess in the phase that its components' sizes (m) say."""
     phase = candidate.phase
@@ -117,7 +112,7 @@ def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
     known = Linearised.of(predictor, parent)
 
     def row(candidate: Candidate, guesses: Sequence[dict[str, float]], factor: float = 1.0) -> _Row:
-        found = [known.change(*candidate.beside(predictor.data, parent, scaled(candidate, guess, factor)))
+        found = [known.change(*candidate.beside(predictor.data, parent, candidate.sized(guess, factor)))
                  for guess in guesses]
         changes = tuple(change for change in found if change is not None)
         if len(changes) < len(found):

@@ -297,7 +297,7 @@ def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened], less: Ke
     own = parent.own.copy()
     for one in start:
         hypothesis += one.candidate.hypothesis
-        centres[one.candidate.key] = one.guess
+        centres[one.candidate.key] = one.usual
         first |= one.start
         own[:, 3] -= one.shared
     space = parameters(predictor.data, hypothesis, centres)
@@ -310,14 +310,14 @@ def centred(predictor: Predictor, found: Fit) -> tuple[Parameters, np.ndarray]:
 
     Sizes are as likely about any of an effect's usual ones; where a fit happened to begin must not count.
     """
-    space = found.space
+    space, values = found.space, found.space.values(found.x)
 
     def strain(effect: int, guess: dict[str, float]) -> float:
         return sum(space.precision[i] * (coordinate.to_x(guess[coordinate.name]) - found.x[i]) ** 2
                    for i, coordinate in enumerate(space.coordinates, space.parts["effects"].start)
                    if coordinate.effect == effect)
 
-    centres = {(cls.name, at): min(cls.guesses(predictor.data.rig, at), key=partial(strain, k))
+    centres = {(cls.name, at): min(cls.usual(predictor.data.rig, at, values[cls.name, at]), key=partial(strain, k))
                for k, (cls, at) in enumerate(space.hypothesis.effects)}
     moved = parameters(predictor.data, space.hypothesis, centres)
     return moved, moved.carried(space, found.x)

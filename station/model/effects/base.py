@@ -176,6 +176,31 @@ class Effect(BaseModel):
         raise NotImplementedError(f"{cls.__name__}.guesses")
 
     @classmethod
+    def usual(cls, rig: Rig, at: str, found: dict[str, float]) -> list[dict[str, float]]:
+        """The guesses, and those larger than what was found made as small: below what is usual only the order of
+        magnitude of a size is unknown beforehand."""
+        sizes, usual = cls._sizes(), cls.guesses(rig, at)
+        smaller = []
+        for guess in usual:
+            shares = [(found[name] - neutral) / (guess[name] - neutral) for name, neutral in sizes.items()]
+            if shares and min(shares) > 0.0 and (share := math.prod(shares) ** (1.0 / len(shares))) < 1.0:
+                smaller.append(cls.sized(guess, share))
+        return usual + smaller
+
+    @classmethod
+    def sized(cls, guess: dict[str, float], factor: float) -> dict[str, float]:
+        """A guess so many times its distance from neutral, within bounds."""
+        known = cls.parameters()
+        return guess | {name: min(max(neutral + factor * (guess[name] - neutral), known[name].low), known[name].high)
+                        for name, neutral in cls._sizes().items()}
+
+    @classmethod
+    def _sizes(cls) -> dict[str, float]:
+        """The parameters that are sizes, with the finite values at which the effect does nothing."""
+        return {name: info.neutral for name, info in cls.parameters().items()
+                if info.neutral is not None and math.isfinite(info.neutral)}
+
+    @classmethod
     def largest(cls, rig: Rig, at: str) -> dict[str, float]:
         """Sizes beyond which the law would be another thing than its name says, by parameter; {} where none is."""
         return {}
