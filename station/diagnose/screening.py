@@ -56,11 +56,6 @@ class Screened:
         """Sizes from which a fit begins, within bounds."""
         return {self.candidate.key: self.candidate.sized(self.guess, min(max(self.size, 1e-3), 5.0))}
 
-    @property
-    def usual(self) -> dict[str, float]:
-        """The same, no larger than the guess (``Effect.usual``)."""
-        return self.candidate.sized(self.guess, min(max(self.size, 1e-3), 1.0))
-
 
 @dataclass(frozen=True)
 class Exchange:

@@ -205,7 +205,7 @@ def _with_derivatives(search: Selection, found: Fit) -> Fit:
 
     They are worked out where it ended: of what screening takes out by them little is left, and that must be right.
     """
-    space, x = centred(search.predictor, found)
+    space, x = centred(search.predictor, found, search.complete)
     again = fit(search.predictor, space, search.own_weighing(found), x, found.own, to_the_end=True)
     search.keep(again, found)
     return again
@@ -297,7 +297,7 @@ def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened], less: Ke
     own = parent.own.copy()
     for one in start:
         hypothesis += one.candidate.hypothesis
-        centres[one.candidate.key] = one.usual
+        centres[one.candidate.key] = one.guess
         first |= one.start
         own[:, 3] -= one.shared
     space = parameters(predictor.data, hypothesis, centres)
@@ -305,10 +305,12 @@ def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened], less: Ke
                      jacobian=inherited(parent, space), renewals=0, first=FAR, iterations=QUICK_STEPS, tolerance=0.5)
 
 
-def centred(predictor: Predictor, found: Fit) -> tuple[Parameters, np.ndarray]:
+def centred(predictor: Predictor, found: Fit, complete: bool) -> tuple[Parameters, np.ndarray]:
     """A hypothesis whose effects' priors stand at the usual sizes nearest to those found, and the fit's point in it.
 
-    Sizes are as likely about any of an effect's usual ones; where a fit happened to begin must not count.
+    Sizes are as likely about any of an effect's usual ones; where a fit happened to begin must not count.  Usual are
+    those that show on rigs of which no model is quite right.  Where nothing but noise is left (``complete``) smaller
+    ones show, too, and of these only the order of magnitude is unknown, as it is of what runs differ by.
     """
     space, values = found.space, found.space.values(found.x)
 
@@ -317,8 +319,10 @@ def centred(predictor: Predictor, found: Fit) -> tuple[Parameters, np.ndarray]:
                    for i, coordinate in enumerate(space.coordinates, space.parts["effects"].start)
                    if coordinate.effect == effect)
 
-    centres = {(cls.name, at): min(cls.usual(predictor.data.rig, at, values[cls.name, at]), key=partial(strain, k))
-               for k, (cls, at) in enumerate(space.hypothesis.effects)}
+    rig, centres = predictor.data.rig, {}
+    for k, (cls, at) in enumerate(space.hypothesis.effects):
+        smaller = cls.smaller(rig, at, values[cls.name, at]) if complete else []
+        centres[cls.name, at] = min([*cls.guesses(rig, at), *smaller], key=partial(strain, k))
     moved = parameters(predictor.data, space.hypothesis, centres)
     return moved, moved.carried(space, found.x)
 
@@ -334,7 +338,7 @@ def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
 
     def again(job: tuple[Fit, tuple[float, float]]) -> Fit | None:
         found, differ = job
-        space, x = centred(predictor, found)
+        space, x = centred(predictor, found, search.complete)
         return attempted(predictor, space, replace(weighing, differ=differ), x, found.own, **THOROUGH,
                          to_the_end=to_the_end)
 

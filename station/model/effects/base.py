@@ -176,16 +176,14 @@ class Effect(BaseModel):
         raise NotImplementedError(f"{cls.__name__}.guesses")
 
     @classmethod
-    def usual(cls, rig: Rig, at: str, found: dict[str, float]) -> list[dict[str, float]]:
-        """The guesses, and those larger than what was found made as small: below what is usual only the order of
-        magnitude of a size is unknown beforehand."""
-        sizes, usual = cls._sizes(), cls.guesses(rig, at)
-        smaller = []
-        for guess in usual:
+    def smaller(cls, rig: Rig, at: str, found: dict[str, float]) -> list[dict[str, float]]:
+        """Those of the guesses that are larger than what was found, made as small."""
+        sizes, smaller = cls._sizes(), []
+        for guess in cls.guesses(rig, at):
             shares = [(found[name] - neutral) / (guess[name] - neutral) for name, neutral in sizes.items()]
             if shares and min(shares) > 0.0 and (share := math.prod(shares) ** (1.0 / len(shares))) < 1.0:
                 smaller.append(cls.sized(guess, share))
-        return usual + smaller
+        return smaller
 
     @classmethod
     def sized(cls, guess: dict[str, float], factor: float) -> dict[str, float]:
