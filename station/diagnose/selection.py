@@ -145,9 +145,9 @@ class Selection:
             self.fits[found.key] = found.light
 
     def weigh(self, found: Fit) -> None:
-        """Take what a fit leaves for what models of this rig leave."""
-        self.weighing = weighing_of(self.predictor, found)
+        """Take what a fit leaves for what models of this rig leave; where that is noise, output errors alone count."""
         self.complete = remainder(self.predictor, found).is_noise
+        self.weighing = weighing_of(self.predictor, found, self.complete)
         self.weighed_by = found.key
         self._weighed.clear()
 
@@ -164,7 +164,8 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
     alone = parameters(predictor.data, Hypothesis(), {})
     beginnings = in_step(predictor, alone, alone.mean)
     parent = base_fit(predictor, beginnings)
-    search = Selection(predictor, effort, parent.weighing, complete=remainder(predictor, parent).is_noise)
+    search = Selection(predictor, effort, parent.weighing)
+    search.weigh(parent)
     search.keep(parent)
     parent = _with_derivatives(search, search.fits[parent.key])
     pool = candidates(predictor.data.rig)
@@ -193,7 +194,7 @@ def _weighed(search: Selection, best: Fit) -> Fit:
     """The best set, settled under the weighing that it gives, and its rivals fitted again: where the weighing changed
     theirs are not comparable."""
     rivals = search.close(1 + search.effort.finished)[1:]
-    best = settled(search.predictor, best)
+    best = settled(search.predictor, best, search.complete)
     search.weigh(best)
     search.keep(best)
     _refit(search, rivals, False)

@@ -94,13 +94,13 @@ def unknown(predictor: Predictor) -> Weighing:
     return Weighing(PRIOR_SHARE * predictor.counts, 1.0, (share, constant))
 
 
-def settled(predictor: Predictor, found: Fit) -> Fit:
-    """A fit under the weighing that its own errors give."""
+def settled(predictor: Predictor, found: Fit, longest: bool = False) -> Fit:
+    """A fit under the weighing that its own errors give (``weighing_of``)."""
     for _ in range(ROUNDS):
         before = found.weighing
-        now = weighing_of(predictor, found)
+        now = weighing_of(predictor, found, longest)
         found = fit(predictor, found.space, now, found.x, found.own)
-        if np.all(np.abs(np.log(now.independent / before.independent)) < SETTLED_SHARE):
+        if np.all(np.abs(now.independent - before.independent) <= SETTLED_SHARE * before.independent):
             break
     return found
 

@@ -172,6 +172,11 @@ class Predictor:
         return np.array([0] * len(self.observers) + [1] * (self.data.has_accel and bool(self.observers)), dtype=int)
 
     @cached_property
+    def longest(self) -> np.ndarray:
+        """(b) whether a block is of the longest horizon; the accelerometer's always is."""
+        return np.arange(len(self.channel)) >= len(self.observers) - 1
+
+    @cached_property
     def counts(self) -> np.ndarray:
         """(runs, b) independent errors of the sensors."""
         return np.maximum([self.share(r).sum(axis=1) for r in range(len(self.data.runs))], 1e-9)
