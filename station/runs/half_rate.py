@@ -16,7 +16,7 @@ from station.control.references import reference_from_test
 from station.errors import UsageError, WorkError
 from station.runs.columns import COLUMNS
 from station.runs.replay import command_limit, replay_commands
-from station.runs.run import BETWEEN, LOST, SENT, Run
+from station.runs.run import BETWEEN, LOST, SENT, Run, RunMetadata
 
 
 def spread(run: Run) -> Run:
@@ -55,9 +55,15 @@ def _command(run: Run, straight: Run, known: np.ndarray) -> np.ndarray:
     except UsageError:
         limit = float(np.max(np.abs(run.command)))
     try:
-        own = replay_commands(replace(straight, extra={}), limit)
+        own = replay_commands(replace(straight, extra={}, metadata=_unrounded(run.metadata)), limit)
     except (UsageError, WorkError):
         return straight.command
     off, found = run.command - own[::2], straight.command.copy()
     found[1::2] = np.where(known, own[1::2] + 0.5 * (off[:-1] + off[1:]), found[1::2])
     return found
+
+
+def _unrounded(metadata: RunMetadata) -> RunMetadata:
+    """The same with commands that are not rounded: half a count is a common reading between two rows, and rounded up
+    each time it is a bias."""
+    return metadata.model_copy(update={"rounding": False, "controller": metadata.controller | {"rounding": False}})
