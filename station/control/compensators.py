@@ -25,6 +25,7 @@ stay within the limit.
 
 from __future__ import annotations
 
+import copy
 from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
@@ -172,6 +173,13 @@ class Compensator:
         self._errors, self._outputs = deque([0.0] * n, n), deque([0.0] * n, n)
         self._accels, self._shaped = deque([0.0] * m, m), deque([0.0] * m, m)
         self._readings: deque[float] = deque(maxlen=max(self.feedback.size, 1))
+
+    def copy(self) -> Compensator:
+        """Another one in the same state."""
+        other = copy.copy(self)
+        for name in ("_errors", "_outputs", "_accels", "_shaped", "_readings"):
+            setattr(other, name, getattr(self, name).copy())
+        return other
 
     def shape(self, accel: float) -> float:
         """One step of the accelerometer loop: Ga(z)(accel - accel_zero), counts."""

@@ -1,9 +1,11 @@
 """A log of every other tick, spread over the ticks of its rig.
 
 Commands went on between its rows.  Where the log says what gave them they are worked out again: the reference from the
-test, where that meets every logged row, and the command by the log's own compensator from readings on a straight line,
-corrected by how far it is off the logged rows beside it.  What the log does not say lies on a straight line between its
-rows: a reference that changed there by another test, and the command with it.
+test, where that meets every logged row, and the command by the log's own compensator, corrected by how far it is off
+the logged rows beside it.  What the compensator read between them is the reading with which it gives the next logged
+command, where that tells a count and no other sensor had a part in it, and else lies on a straight line; from half a
+count no command is rounded, for rounded up each time it would be a bias.  What the log does not say lies on a straight
+line between its rows: a reference that changed there by another test, and the command with it.
 """
 
 from __future__ import annotations
@@ -12,11 +14,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from station.control.compensators import Compensator
 from station.control.references import reference_from_test
 from station.errors import UsageError, WorkError
 from station.runs.columns import COLUMNS
-from station.runs.replay import command_limit, replay_commands
-from station.runs.run import BETWEEN, LOST, SENT, Run, RunMetadata
+from station.runs.replay import command_limit, compensator_of, replay_commands
+from station.runs.run import BETWEEN, LOST, SENT, Run
+
+TELLS = 1.0
+"""Counts of command per count of a reading from which on a command, rounded to one, tells the reading to a half."""
 
 
 def spread(run: Run) -> Run:
@@ -55,7 +61,7 @@ def _command(run: Run, straight: Run, known: np.ndarray) -> np.ndarray:
     except UsageError:
         limit = float(np.max(np.abs(run.command)))
     try:
-        own = replay_commands(replace(straight, extra={}, metadata=_unrounded(run.metadata)), limit)
+        own = _own_commands(run, replace(straight, extra={}), limit)
     except (UsageError, WorkError):
         return straight.command
     off, found = run.command - own[::2], straight.command.copy()
@@ -63,7 +69,41 @@ def _command(run: Run, straight: Run, known: np.ndarray) -> np.ndarray:
     return found
 
 
-def _unrounded(metadata: RunMetadata) -> RunMetadata:
-    """The same with commands that are not rounded: half a count is a common reading between two rows, and rounded up
-    each time it is a bias."""
-    return metadata.model_copy(update={"rounding": False, "controller": metadata.controller | {"rounding": False}})
+def _own_commands(run: Run, straight: Run, limit: float) -> np.ndarray:
+    """(ticks) commands of the log's own compensator."""
+    own = replay_commands(straight, limit)  # says why where it cannot
+    compensator = compensator_of(straight, limit)
+    if compensator.open_loop:
+        return own
+    alone = compensator.accel_denominator.size == 0
+    readings = _readings(straight, compensator, run.command) if alone else straight.encoder
+    exact = replay_commands(replace(straight, encoder=readings), limit)
+    smooth = straight.metadata.model_copy(update={"controller": straight.metadata.controller | {"rounding": False}})
+    whole = np.roll(readings == np.round(readings), -straight.metadata.command_row)
+    return np.where(whole, exact, replay_commands(replace(straight, encoder=readings, metadata=smooth), limit))
+
+
+def _readings(straight: Run, compensator: Compensator, commands: np.ndarray) -> np.ndarray:
+    """(ticks) what a compensator that reads no accelerometer read; ``commands`` those of every other tick."""
+    found, late = straight.encoder.copy(), -straight.metadata.command_row
+    whole = np.array_equal(found[::2], np.round(found[::2]))
+
+    def commanded(read_by: Compensator, tick: int, reading: float) -> float:
+        return read_by.step(float(straight.reference[tick + late]), reading, 0.0)
+
+    def next_logged(tick: int, reading: float) -> float:
+        tried = compensator.copy()
+        out = commanded(tried, tick, reading)
+        return out if (tick + late) % 2 == 0 else commanded(tried, tick + 1, float(found[tick + 1]))
+
+    for tick in range(len(found) - late):
+        row = tick + late + (tick + late) % 2
+        if tick % 2 == 1 and row < len(found):
+            first = next_logged(tick, found[tick])
+            slope = next_logged(tick, found[tick] + 1.0) - first
+            if abs(slope) >= TELLS:
+                reading = found[tick] + (commands[row // 2] - first) / slope
+                if abs(reading - found[tick]) <= 1.0 + abs(found[tick + 1] - found[tick - 1]):
+                    found[tick] = round(reading) if whole else reading
+        commanded(compensator, tick, float(found[tick]))
+    return found

@@ -56,6 +56,14 @@ def command_limit(run: Run) -> float:
         raise UsageError(f"{run.name}: the run does not hold its rig's amplifier.limit; name the rig") from None
 
 
+def compensator_of(run: Run, limit: float, spec: dict[str, Any] | None = None) -> Compensator:
+    """The run's own compensator (or another ``spec``), as it is before the first sample."""
+    spec = dict(run.metadata.controller) if spec is None else spec
+    compensator = Compensator.from_spec(spec, run.sample_rate, limit)
+    compensator.reset(float(spec.get("accel_zero", run.metadata.accel_zero)))
+    return compensator
+
+
 def replay_commands(run: Run, limit: float | None = None, *, shaped: bool = False) -> np.ndarray:
     """The commands (counts) that the run's compensator gives for its logged reference, encoder and accelerometer.
 
@@ -74,8 +82,7 @@ def replay_commands(run: Run, limit: float | None = None, *, shaped: bool = Fals
             raise WorkError(f"{run.name}: the log has no column {SHAPED}")
         reference = run.extra[SHAPED]
         spec = {"kind": "lead", **{key: spec[key] for key in _AFTER_ACCEL_LOOP if key in spec}}
-    compensator = Compensator.from_spec(spec, run.sample_rate, command_limit(run) if limit is None else limit)
-    compensator.reset(float(spec.get("accel_zero", run.metadata.accel_zero)))
+    compensator = compensator_of(run, command_limit(run) if limit is None else limit, spec)
     accel = run.accel
     if accel is None:
         if compensator.accel_denominator.size:

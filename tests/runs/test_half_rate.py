@@ -17,13 +17,13 @@ from tests.measured import LOGS, measured_log
 STEP = {"kind": "step", "amplitude": 80.0, "duration": 1.0}
 
 
-def logged(kind: str, test: dict | None = None, jump: int = 100) -> Run:
+def logged(kind: str, test: dict | None = None, jump: int = 100, late: int = -1) -> Run:
     """A test of the simulated arm with a step of the reference at a row, all its ticks logged."""
     rig = load_rig("sflr")
     reference = np.where(np.arange(500) >= jump, 80.0, 0.0)
     still = np.zeros(500)
     planned = Run("made", np.arange(500) / 500.0, reference, reference, still, still,
-                  RunMetadata(controller=NAMED[kind], command_row=-1, test=test or {}, command_limit=200.0))
+                  RunMetadata(controller=NAMED[kind], command_row=late, test=test or {}, command_limit=200.0))
     made = simulate(rig, planned)
     return replace(planned, encoder=made.encoder, accel=made.accel, command=made.command)
 
@@ -76,3 +76,20 @@ def test_measured_commands_are_met_better_by_their_compensator_than_by_a_straigh
     run = load_run(measured_log(name))
     run = run.slice(0, len(run) // 2 * 2)
     assert np.sum(missed(run) ** 2) < np.sum(straight(run) ** 2)
+
+
+@pytest.mark.parametrize(("kind", "row"), [("p", -1), ("lead", -1), ("lead", 0)])
+def test_readings_between_the_rows_are_those_with_which_the_compensator_gave_the_next_command(kind: str, row: int,
+                                                                                              ) -> None:
+    """A step that the log's test names: all commands between the rows, to the count, where no limit hides them."""
+    run = logged(kind, STEP | {"rest": 0.2, "amplitude": 80.0}, late=row)
+    off = missed(run)
+    inside = np.abs(run.command[: len(off)]) < 200.0
+    assert np.mean(off[inside] == 0.0) > 0.97 and np.mean(straight(run)[: len(off)][inside] == 0.0) < 0.8
+
+
+def test_commands_between_the_rows_have_no_bias() -> None:
+    """Half a count, rounded up each time, is one: of a P loop whose readings no logged command tells."""
+    run = logged("p", STEP | {"rest": 0.2}, late=0)
+    off = missed(run)
+    assert np.count_nonzero(off) > 10 and abs(np.mean(off[off != 0.0])) < 0.1
