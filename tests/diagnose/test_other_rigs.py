@@ -56,6 +56,37 @@ def test_a_hidden_effect_is_named(shape, seed, name, at):
     assert Rig.from_toml(result.extended_rig.to_toml()).effects == result.extended_rig.effects
 
 
+@pytest.mark.parametrize("cubic", [3e5, -1.5e5])
+def test_a_stiff_drive_that_hardens_or_softens_is_named_alone(cubic):
+    """It bends by thousandths of a radian, the arm's soft one by half of one."""
+    spring = {"effect": "hardening_spring", "at": "drive", "cubic": cubic}
+    hidden = make_case(8028, [spring], nominal=TWO_MASS, band=None, count=4)
+    diagnosis = diagnose(Rig.model_validate(TWO_MASS), hidden.runs, effort="quick").diagnosis
+    assert [(cause.effect, cause.at) for cause in diagnosis.causes] == [("hardening_spring", "drive")]
+    assert diagnosis.verdict == "explained"
+    assert diagnosis.causes[0].parameters["cubic"].value == pytest.approx(cubic, rel=0.3)
+
+
+@pytest.mark.parametrize("seed", [8030, 8034])
+def test_a_bias_of_a_twentieth_of_a_count_is_named_beside_sticking_friction(seed):
+    """Friction of one level leads at first; what errors count for is read off again once two levels do."""
+    friction = {"effect": "stribeck_friction", "at": "motor", "static_torque": 0.019, "coulomb_torque": 0.012,
+                "stribeck_velocity": 0.52}
+    bias = {"effect": "command_bias", "at": "amplifier", "offset": -0.05}
+    hidden = make_case(seed, [friction, bias], nominal=RIGID_AXIS, band=None, count=6)
+    diagnosis = diagnose(Rig.model_validate(RIGID_AXIS), hidden.runs, effort="quick").diagnosis
+    assert [cause.effect for cause in diagnosis.causes] == ["stribeck_friction", "command_bias"]
+    assert diagnosis.verdict == "explained"
+    offset = diagnosis.causes[1].parameters["offset"]
+    assert offset.low < -0.05 < offset.high
+
+
+def test_a_clean_two_mass_rig_is_not_accused_of_what_an_observers_gains_do_with_the_sensors_noise():
+    """Its errors 0.05 s ahead are smaller with a gap in the drive: the gap's gains feed less noise back."""
+    case = make_case(1010416, [], nominal=TWO_MASS, count=None)
+    assert not diagnose(Rig.model_validate(TWO_MASS), case.runs, effort="full").diagnosis.causes
+
+
 @pytest.mark.parametrize(("shape", "seed"), [("axis", 8005), ("two-mass", 8010)])
 def test_a_clean_rig_is_not_accused(shape, seed):
     result = found(shape, seed)

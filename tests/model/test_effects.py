@@ -11,12 +11,14 @@ from numba import cfunc
 from pydantic import ValidationError
 
 from station.control.references import reference_from_test
+from station.diagnose.equivalences import rescaled
 from station.model import stepper
 from station.model.assembly import assemble
 from station.model.compiled import LAW, njit
 from station.model.effects import Effect, Stage, catalogue, effect_class
 from station.model.effects.base import PICTURES, parameter
 from station.model.simulate import Model, Simulation, build, initial_state, simulate, simulate_model
+from station.model.units import dimension
 from station.rig import Rig, load_rig
 from station.runs.run import Run, RunMetadata
 from tests.truth import (
@@ -535,6 +537,33 @@ def test_guesses_of_a_phase_go_all_round(rig, name):
         for phases in rounds.values():
             gaps = np.diff([*sorted(phases), min(phases) + 2.0 * math.pi])
             assert gaps.max() <= 0.5 * math.pi + 1e-9
+
+
+@pytest.mark.parametrize("name", list(catalogue()))
+@pytest.mark.parametrize("table", [SFLR, TWO_MASS, SERVO], ids=lambda table: table["name"])
+def test_guesses_suit_a_rig_of_any_unit_of_torque(table, name):
+    cls, own = catalogue()[name], Rig.model_validate(table)
+    for at in (at for at in cls.sites if cls.fits(own, at)):
+        larger = cls.guesses(rescaled(own, torque=50.0), at)
+        for mine, theirs in zip(cls.guesses(own, at), larger, strict=True):
+            for key, info in cls.parameters().items():
+                assert theirs[key] == pytest.approx(mine[key] * 50.0 ** dimension(info.unit)[0])
+
+
+@pytest.mark.parametrize("name", list(catalogue()))
+def test_a_guess_made_as_small_as_what_was_found_is_as_large(rig, name):
+    """Only sizes move: no phase, limit or rest angle; and none is made larger, or moved to neutral's other side."""
+    cls = catalogue()[name]
+    at = next(at for at in cls.sites if cls.fits(rig, at))
+    sizes = {key: info.neutral for key, info in cls.parameters().items()
+             if info.neutral is not None and math.isfinite(info.neutral)}
+    for guess in cls.guesses(rig, at):
+        assert bool(sizes) == any(one == pytest.approx(cls.sized(guess, 0.01))
+                                  for one in cls.smaller(rig, at, cls.sized(guess, 0.01)))
+        assert all(0.0 < (one[key] - neutral) / (guess[key] - neutral) < 1.0 + 1e-9
+                   for one in cls.smaller(rig, at, cls.sized(guess, 0.9)) for key, neutral in sizes.items()
+                   if len(sizes) == 1)
+        assert not cls.smaller(rig, at, cls.sized(guess, 1e3))
 
 
 @pytest.mark.parametrize("cls", [cls for cls in catalogue().values() if cls.simpler], ids=lambda cls: cls.name)
