@@ -91,6 +91,10 @@ class Selection:
         """The weighing with what runs differ by by this set of causes."""
         return self._own(found)[0]
 
+    def differs(self, found: Fit) -> bool:
+        """Whether a set of causes pays for runs to differ."""
+        return self._own(found)[2] != 0.0
+
     def _own(self, found: Fit) -> tuple[Weighing, float, float]:
         if found not in self._weighed:
             ways = [both := self._differing(found, (True, True))]
@@ -225,7 +229,8 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], far: list[Star
 
     screened, pairs, exchanges = screen(predictor, parent, pool)
     grows = rung < effort.rungs
-    content = effort.content and rung > 0 and remainder(predictor, parent).is_noise
+    content = (effort.content and rung > 0 and remainder(predictor, parent).is_noise
+               and not search.differs(parent))  # else what makes that needless pays for itself
     worth = -2.0 * LOG_PRIOR if content else WORTH_A_FIT
     if not search.screened:
         search.screened = screened

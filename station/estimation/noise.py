@@ -25,11 +25,23 @@ SPAN = 10
 def rounding_shares(encoder: np.ndarray) -> np.ndarray:
     """Independent rounding errors per sample (n) of an encoder's readings (n), counts; 1 while it moves.
 
-    While nothing moves the rounding error stands still, too, so that many samples say no more than one.
+    While nothing moves the rounding error stands still, too, so that many samples say no more than one.  Readings that
+    toggle between two counts, for the angle stands where one becomes the other, do not move: what counts is what is
+    left beyond a play of one count (Visintin, Differential Models of Hysteresis, 1994, section 3.2).
     """
-    padded = np.pad(encoder, SPAN, mode="edge")
+    padded = np.pad(_beyond_play(encoder), SPAN, mode="edge")
     speed = np.abs(padded[2 * SPAN:] - padded[: -2 * SPAN]) / (2 * SPAN)
     return np.clip(SMOOTH * speed, RESTING, 1.0)
+
+
+def _beyond_play(encoder: np.ndarray) -> np.ndarray:
+    """(n) where a part is that readings (n), counts, push to and fro by play of half a count on either side."""
+    low, high = (encoder - 0.5).tolist(), (encoder + 0.5).tolist()
+    place, places = float(encoder[0]), []
+    for least, most in zip(low, high, strict=True):
+        place = min(max(place, least), most)
+        places.append(place)
+    return np.array(places)
 
 
 def rest_rows(run: Run) -> int:

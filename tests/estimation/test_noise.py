@@ -83,6 +83,20 @@ def test_a_reading_at_rest_counts_for_one_or_two_and_a_moving_one_for_all():
     assert 0.1 < slow.mean() < 0.5
 
 
+def test_a_reading_that_toggles_between_two_counts_rests():
+    """The angle stands where one count becomes the next, and a sensor's noise, or a motor that hums, chooses."""
+    rng = np.random.default_rng(3)
+    toggling = np.round(2.5 + 0.1 * rng.standard_normal(500))
+    assert 100 < np.count_nonzero(np.diff(toggling)) and rounding_shares(toggling).sum() < 4.0
+    # A slow turn that toggles at every count moves: as fast as the same without noise.
+    turn = 0.05 * np.arange(2000)
+    noisy = rounding_shares(np.round(turn + 0.1 * rng.standard_normal(2000)))
+    assert noisy.sum() == pytest.approx(rounding_shares(np.round(turn)).sum(), rel=0.1)
+    # To and fro by several counts: all but what a play of one count takes at each turning point.
+    swing = np.round(8.0 * np.sin(2.0 * np.pi * np.arange(1000) / 200.0))
+    assert rounding_shares(swing).mean() > 0.6
+
+
 def test_rows_that_were_put_into_gaps_are_no_readings():
     """A log of every other tick: what lies between two readings scatters less than they do."""
     whole = made(2000, 3.0, rows=2400)
