@@ -87,7 +87,7 @@ def test_a_reading_that_toggles_between_two_counts_rests():
     """The angle stands where one count becomes the next, and a sensor's noise, or a motor that hums, chooses."""
     rng = np.random.default_rng(3)
     toggling = np.round(2.5 + 0.1 * rng.standard_normal(500))
-    assert 100 < np.count_nonzero(np.diff(toggling)) and rounding_shares(toggling).sum() < 4.0
+    assert np.count_nonzero(np.diff(toggling)) > 100 and rounding_shares(toggling).sum() < 4.0
     # A slow turn that toggles at every count moves: as fast as the same without noise.
     turn = 0.05 * np.arange(2000)
     noisy = rounding_shares(np.round(turn + 0.1 * rng.standard_normal(2000)))
