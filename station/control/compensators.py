@@ -177,8 +177,7 @@ class Compensator:
     def copy(self) -> Compensator:
         """Another one in the same state."""
         other = copy.copy(self)
-        for name in ("_errors", "_outputs", "_accels", "_shaped", "_readings"):
-            setattr(other, name, getattr(self, name).copy())
+        vars(other).update({name: state.copy() for name, state in vars(self).items() if isinstance(state, deque)})
         return other
 
     def shape(self, accel: float) -> float:

@@ -185,16 +185,16 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
         best = search.best()
         if len(best.key) <= rung and 2.0 * (search.score(best) - search.score(search.fits[parent.key])) < WORTH_A_FIT:
             break  # the same set, or one that these runs do not tell from it
-        _look_back(search, _weighed(search, best))
+        _look_back(search, _settle(search, best))
         if search.outdated:
-            _weighed(search, search.best())
+            _settle(search, search.best())
         parent = _with_derivatives(search, search.best())
     progress("fitting rivals as far as the best", 0.82)
     _finish(search)
     return search
 
 
-def _weighed(search: Selection, best: Fit) -> Fit:
+def _settle(search: Selection, best: Fit) -> Fit:
     """The best set, settled under the weighing that it gives, and its rivals fitted again: where the weighing changed
     theirs are not comparable."""
     rivals = search.close(1 + search.effort.finished)[1:]

@@ -27,7 +27,7 @@ def rounding_shares(encoder: np.ndarray) -> np.ndarray:
 
     While nothing moves the rounding error stands still, too, so that many samples say no more than one.  Readings that
     toggle between two counts, for the angle stands where one becomes the other, do not move: what counts is what is
-    left beyond a play of one count (Visintin, Differential Models of Hysteresis, 1994, section 3.2).
+    left beyond a play of one count (Visintin, Differential Models of Hysteresis, 1994, chapter III).
     """
     padded = np.pad(_beyond_play(encoder), SPAN, mode="edge")
     speed = np.abs(padded[2 * SPAN:] - padded[: -2 * SPAN]) / (2 * SPAN)

@@ -18,7 +18,7 @@ from station.control.compensators import Compensator
 from station.control.references import reference_from_test
 from station.errors import UsageError, WorkError
 from station.runs.columns import COLUMNS
-from station.runs.replay import command_limit, compensator_of, replay_commands
+from station.runs.replay import command_limit, compensator_of, replay_commands, rounded
 from station.runs.run import BETWEEN, LOST, SENT, Run
 
 TELLS = 1.0
@@ -71,16 +71,15 @@ def _command(run: Run, straight: Run, known: np.ndarray) -> np.ndarray:
 
 def _own_commands(run: Run, straight: Run, limit: float) -> np.ndarray:
     """(ticks) commands of the log's own compensator."""
-    own = replay_commands(straight, limit)  # says why where it cannot
     compensator = compensator_of(straight, limit)
     if compensator.open_loop:
-        return own
+        return replay_commands(straight, limit)
     alone = compensator.accel_denominator.size == 0
     readings = _readings(straight, compensator, run.command) if alone else straight.encoder
-    exact = replay_commands(replace(straight, encoder=readings), limit)
     smooth = straight.metadata.model_copy(update={"controller": straight.metadata.controller | {"rounding": False}})
+    own = replay_commands(replace(straight, encoder=readings, metadata=smooth), limit)
     whole = np.roll(readings == np.round(readings), -straight.metadata.command_row)
-    return np.where(whole, exact, replay_commands(replace(straight, encoder=readings, metadata=smooth), limit))
+    return np.where(whole, np.floor(own + 0.5), own) if rounded(run) else own
 
 
 def _readings(straight: Run, compensator: Compensator, commands: np.ndarray) -> np.ndarray:

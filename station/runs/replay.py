@@ -93,7 +93,7 @@ def replay_commands(run: Run, limit: float | None = None, *, shaped: bool = Fals
     readings = zip(run.encoder.tolist(), accel.tolist(), strict=True)
     for row, (target, reading) in enumerate(zip(reference[late:].tolist(), readings, strict=False), start=late):
         commands[row] = compensator.step(target, *reading)
-    return np.floor(commands + 0.5) if _rounded(run) else commands
+    return np.floor(commands + 0.5) if rounded(run) else commands
 
 
 def compare_replay(run: Run, limit: float | None = None, *, shaped: bool = False,
@@ -122,7 +122,7 @@ def _note(run: Run, commands: np.ndarray, beyond: np.ndarray, limit: float, shap
                 return f"they fit command_row {row}, the metadata say {run.metadata.command_row}"
     if not shaped and SHAPED in run.extra:
         return f"from row {first} on; replay from {SHAPED} tells whether the accelerometer loop's digits do it"
-    if not _rounded(run) and np.array_equal(run.command, np.floor(commands + 0.5)):
+    if not rounded(run) and np.array_equal(run.command, np.floor(commands + 0.5)):
         return "the log was rounded, the metadata say it was not"
     return f"from row {first} on they are not this compensator's"
 
@@ -131,5 +131,6 @@ def _with(run: Run, **metadata: Any) -> Run:
     return replace(run, metadata=run.metadata.model_copy(update=metadata))
 
 
-def _rounded(run: Run) -> bool:
+def rounded(run: Run) -> bool:
+    """Whether a run's commands were rounded to whole counts."""
     return bool(run.metadata.controller.get("rounding", run.metadata.rounding))
