@@ -6,23 +6,26 @@ import json
 import math
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.linalg import eigh
+from scipy.linalg import eigh, toeplitz
 from scipy.optimize import brentq
 from scipy.signal import cont2discrete, lsim
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from tests import truth as tr
+from tests.truth import disturbance
 from tests.truth.cases import _weighted as weighted
 from tests.truth.cases import multisine_test, prbs_test
-from tests.truth.disturbance import Pushes, directions, draw_pushes, draw_world, gauss_markov, shown
-from tests.truth.disturbance import _nodes as paths_of_nodes
+from tests.truth.disturbance import Pushes, World, covariances, draw_pushes, draw_world, gauss_markov
+from tests.truth.disturbance import _carried as carried
+from tests.truth.disturbance import _shocks as shocks
 from tests.truth.innovations import Coloured, innovations
 from tests.truth.plant import ELEMENTS, beam_matrices, linear_system, mechanics
 from tests.truth.rigs import own_sigma, with_constants
@@ -785,49 +788,80 @@ def test_modes_are_moved_by_their_own_factors_and_the_rigid_arm_not_at_all():
     assert np.max(np.abs(moved.stiffness @ moved.lift[0])) < 1e-10
 
 
-@pytest.mark.parametrize("loop", ["open", "p2", "lead"])
-def test_slow_disturbances_act_as_their_directions_say(loop):
-    """A path of nodes, sent through the whole simulation, moves encoder and accelerometer as its column."""
+def looped(loop: str, level: float, seed: int) -> tuple[tr.Truth, World, tr.Output, Callable[..., tr.Output]]:
+    """A rig, a world, a run of one second without disturbances, and what makes such runs."""
     test = tr.step_test(500.0, loop, 8.0, 1.0) if loop != "open" else tr.pulse_test(500.0, 60.0, duration=1.0)
-    truth, world, n = tr.Truth(tr.SFLR), draw_world(4, 0.001), len(test.reference)
+    truth = tr.Truth(tr.SFLR)
 
     def run(truth, pushes, reference=None):
         reference = test.reference if reference is None else reference
         return truth.run(reference, tr.CONTROLLERS[loop], rounding=False, pushes=pushes)
 
-    quiet = run(truth, None)
-    columns = np.array(directions(world, truth, quiet, run))
-    torque = 1e-3 / math.sqrt(2) * shown(truth, quiet)[0] * paths_of_nodes(n, truth.period, world.times["torque"])
-    drift = 1e-3 / math.sqrt(2) * paths_of_nodes(n, truth.period, world.times["drift"])
-    tried = [(0, {"torque": torque[:, 0]}), (2, {"torque": torque[:, 2]}), (torque.shape[1], {"drift": drift[:, 0]}),
-             (torque.shape[1] + drift.shape[1], {"speed": 1e-3 * np.std(speed(quiet))})]
-    for column, pushes in tried:
-        out = run(truth, replace(still(n), **pushes))
-        for channel, name in enumerate(("encoder", "accel")):
-            moved = getattr(out, name) - getattr(quiet, name)
-            assert columns[channel][:, column] == pytest.approx(moved, abs=1e-3 * np.max(np.abs(moved))), (column, name)
-    factors = np.ones(8)
-    factors[0] = math.exp(0.0005)
-    moved = run(truth.detuned(factors), None).accel - quiet.accel
-    first = torque.shape[1] + drift.shape[1] + 2
-    assert columns[1][:, first] == pytest.approx(moved, abs=0.02 * np.max(np.abs(moved)))
+    return truth, draw_world(seed, level), run(truth, None), run
+
+
+def both(out: tr.Output) -> np.ndarray:
+    return np.concatenate([out.encoder, out.accel])
+
+
+@pytest.mark.parametrize("loop", ["open", "p2", "lead", "lead_accel"])
+def test_disturbances_scatter_as_their_covariance_says_quick_and_slow(loop):
+    """Drawn ones, sent through the whole simulation, have along the covariance's axes the variance that it says: where
+    that is far above a sensor's noise, beside it and below it."""
+    level, noise = 1e-4, 1e-3  # counts; at a level at which modes and starts act in proportion
+    parts = {"far above": [], "above": [], "about": []}
+    for seed in range(8):
+        truth, world, quiet, run = looped(loop, level, seed)
+        (_, covariance), = covariances(world, truth, quiet, run)
+        moved = both(run(truth.detuned(world.detuning), draw_pushes(world, truth, quiet, seed))) - both(quiet)
+        variances, axes = eigh(covariance / noise**2)
+        read = axes.T @ (moved / noise + np.random.default_rng(seed).standard_normal(len(moved)))
+        white = read**2 / (1.0 + variances)
+        for part, (low, high) in zip(parts, ((10.0, 1e9), (1.0, 10.0), (0.1, 1.0)), strict=True):
+            parts[part] += white[(variances > low) & (variances <= high)].tolist()
+    for part, found in parts.items():
+        assert np.mean(found) == pytest.approx(1.0, abs=5.0 * math.sqrt(2.0 / len(found)) + 0.02), part
+
+
+def test_what_a_path_does_behind_a_response_is_worked_out_tick_by_tick():
+    """The short way is H K H' with the responses' whole matrices H, in every piece."""
+    n, decay = 90, 0.9
+    answers = np.random.default_rng(1).standard_normal((2, n)) * 0.97 ** np.arange(n)
+    ages = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
+    whole = np.vstack([toeplitz(a, np.zeros(n)) for a in answers])
+    whole = whole @ decay**ages @ whole.T
+    for begin, end in ((0, n), (0, 30), (30, 75)):
+        rows = np.concatenate([np.arange(begin, end), np.arange(begin, end) + n])
+        assert carried(answers, decay, begin, end) == pytest.approx(whole[np.ix_(rows, rows)], rel=1e-9, abs=1e-12)
+    assert shocks(n, decay) @ shocks(n, decay).T == pytest.approx(decay**ages, rel=1e-12)
+
+
+def test_the_pieces_of_a_long_run_are_parts_of_its_whole(monkeypatch):
+    truth, world, quiet, run = looped("lead", 0.02, 3)
+    (rows, whole), = covariances(world, truth, quiet, run)
+    monkeypatch.setattr(disturbance, "PIECE", 180)
+    pieces = covariances(world, truth, quiet, run)
+    assert sorted(np.concatenate([part for part, _ in pieces])) == sorted(rows) and len(pieces) == 3
+    for part, piece in pieces:
+        assert piece == pytest.approx(whole[np.ix_(part, part)], rel=1e-6, abs=1e-9 * whole.max())
 
 
 def test_severity_in_a_world_takes_its_disturbances_for_what_they_are():
-    """Tens of thousands of chi squared by disturbance count for little more than their degrees of freedom."""
+    """Chi squared by disturbance counts for no more than its share of the degrees of freedom."""
     case = tr.make_case(301, ["coulomb_friction"], count=3)
     measure = tr.Severity(case.rig, case.truth["logs"], case.truth["common"], case.tests, case.conditions,
                           world=draw_world(301, 0.02))
     quiet, disturbed = (weighted(tr.simulate_case(case.rig, [], case.tests, case.conditions, exact=True, world=world),
-                                 case.conditions) for world in (None, draw_world(301, 0.02)))
-    error, freedom = disturbed - quiet, sum(d.size for _, _, d in measure.white)
-    assert error @ error > 200.0 * freedom and measure.white[0][1].shape[0] == 2 * len(case.tests[0].reference)
-    assert measure._counted(error) @ measure._counted(error) < 5.0 * freedom
+                                 case.conditions, read=True) for world in (None, draw_world(301, 0.02)))
+    noise = np.random.default_rng(5).standard_normal(len(quiet))
+    error = disturbed - quiet + noise
+    assert np.mean(error**2) > 5.0 and len(error) == sum(2 * len(test.reference) for test in case.tests)
+    assert np.mean(measure._counted(error) ** 2) == pytest.approx(1.0, abs=0.05)
     cause, (grade,) = case.effects[0], case.truth["severity"].values()
     faint = tr.Severity(case.rig, case.truth["logs"], case.truth["common"], case.tests, case.conditions,
                         world=draw_world(301, 1e-7))
     assert faint.of(cause) == pytest.approx(grade, rel=0.02)
-    assert 10.0 < measure.of(cause) < 0.3 * grade
+    assert 1.0 < measure.of(cause) < 0.3 * grade
 
 
 def test_a_case_sized_in_its_world_is_as_plain_there_as_its_band_says():

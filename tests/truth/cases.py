@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular
 
 from station.runs.run import Run, RunMetadata
 
 from . import sizes
-from .disturbance import Pushes, World, directions, draw_pushes, draw_world, signal_share
+from .disturbance import Pushes, World, covariances, draw_pushes, draw_world
 from .rigs import SERVO, SFLR, RigDict, draw_logs, get_constant, own_sigma, shifted, uncertain_keys, with_constants
 from .simulate import CONTROLLERS, OUTSIDE, Effect, Output, Truth
 
@@ -221,11 +222,14 @@ def _weighted(outputs: Sequence[Output], conditions: Sequence[Conditions], read:
     """All outputs in one column, each over the sigma of its noise and rounding; `read`: as read, else before that."""
     parts = []
     for out, c in zip(outputs, conditions, strict=True):
-        encoder, accel = (out.encoder, out.accel) if read else out.unrounded
-        parts.append(encoder / math.sqrt(0.05**2 + 1 / 12))
-        if accel is not None:
-            parts.append(accel / math.sqrt(c.accel_sigma**2 + 1 / 12))
+        channels = (out.encoder, out.accel) if read else out.unrounded
+        parts += [y / sigma for y, sigma in zip(channels, _sigmas(c), strict=True) if y is not None]
     return np.concatenate(parts)
+
+
+def _sigmas(c: Conditions) -> tuple[float, float]:
+    """Of noise and rounding of the encoder and the accelerometer, counts."""
+    return math.sqrt(0.05**2 + 1 / 12), math.sqrt(c.accel_sigma**2 + 1 / 12)
 
 
 class Severity:
@@ -241,7 +245,7 @@ class Severity:
     nothing, and what the rounding feigns does neither.
 
     In an imperfect `world` the errors are not white: a misfit counts by what noise and disturbances together leave of
-    it (generalised least squares; covariance of the disturbances by `directions`, on the rig without effects).
+    it (generalised least squares; `covariances` of the disturbances, on the rig without effects).
     """
 
     def __init__(
@@ -271,36 +275,29 @@ class Severity:
         self.y0 = self._model(self.start)
         self.s0 = self._slopes(self.start, self.y0)
 
-    def _whitening(self, world: World) -> list[tuple[Array, Array, Array]]:
-        """Per run: scale of the rows, then U and d of Sigma^-1/2 = (1 + U d U^T) after that scale."""
+    def _whitening(self, world: World) -> list[tuple[Array, Array]]:
+        """Rows of the weighted outputs, and the lower Cholesky factor of their covariance by noise and disturbances."""
         truth, found = Truth(self.constants), []
-        for test, c in zip(self.tests, self.conditions, strict=True):
+        for test, c, first in zip(self.tests, self.conditions, self.edges[:-1], strict=True):
 
             def run(truth: Truth, pushes: Pushes | None, reference: Array | None = None, test: Test = test,
                     c: Conditions = c) -> Output:
                 return _run(truth, test, replace(c, start="released"), True, pushes, reference)
 
-            quiet = run(truth, None)
-            encoder, accel = directions(world, truth, quiet, run)
-            sigmas = [math.sqrt(0.05**2 + 1 / 12)] + [math.sqrt(c.accel_sigma**2 + 1 / 12)] * truth.has_accelerometer
-            wide = math.hypot(sigmas[-1], signal_share(world, truth, quiet))
-            scale = np.repeat([1.0, sigmas[-1] / wide][: len(sigmas)], len(quiet.t))
-            both = [encoder / sigmas[0], accel / wide][: len(sigmas)]
-            squares, inner = np.linalg.eigh(sum(part.T @ part for part in both))
-            keep = squares > 1e-4
-            u = np.concatenate(both) @ (inner[:, keep] / np.sqrt(squares[keep]))
-            found.append((scale, u, 1.0 / np.sqrt(1.0 + squares[keep]) - 1.0))
+            for rows, covariance in covariances(world, truth, run(truth, None), run):
+                scale = 1.0 / np.array(_sigmas(c))[rows // len(test.reference)]
+                whole = np.eye(len(rows)) + scale[:, None] * covariance * scale
+                found.append((first + rows, cholesky(whole, lower=True)))
         return found
 
-    def _counted(self, column: Array) -> Array:
-        """A column of weighted outputs, or a difference of two, with the disturbances' covariance taken out."""
+    def _counted(self, columns: Array) -> Array:
+        """Differences of weighted outputs (n, ...) with noise and disturbances made white."""
         if not self.white:
-            return column
-        parts = []
-        for r, (scale, u, d) in enumerate(self.white):
-            part = scale * column[self.edges[r] : self.edges[r + 1]]
-            parts.append(part + u @ (d * (u.T @ part)))
-        return np.concatenate(parts)
+            return columns
+        counted = np.empty_like(columns)
+        for rows, lower in self.white:
+            counted[rows] = solve_triangular(lower, columns[rows], lower=True)
+        return counted
 
     def _model(self, z: Array) -> Array:
         """Weighted outputs without the cause; z: constants in sigmas, angles in 0.01 rad, offsets in counts."""
@@ -316,9 +313,10 @@ class Severity:
             for c, a, b in zip(self.conditions, z[m : m + n], z[m + n :], strict=True)
         ]
         outputs = simulate_case(shifted(self.constants, by_key), self.others, self.tests, around, exact=True)
-        return self._counted(_weighted(outputs, around))
+        return _weighted(outputs, around)
 
     def _slopes(self, z: Array, y: Array) -> Array:
+        """Derivatives of the outputs y at z by z, noise and disturbances made white."""
         m, n = len(self.own), len(self.tests)
         s = np.zeros((len(y), len(z)))
         for k in range(m):
@@ -332,7 +330,7 @@ class Severity:
             for r in range(n):
                 rows = slice(self.edges[r], self.edges[r + 1])
                 s[rows, block + r] = moved[rows]
-        return s
+        return self._counted(s)
 
     def _imitation(self, cause: Effect) -> Array:
         """The move of the constants that is this cause: of a constant itself; of a clock, time measured in its ticks.
@@ -359,9 +357,8 @@ class Severity:
     def of(self, cause: Effect, turns: int = 12) -> float:
         """The severity of `cause`; with few turns an upper bound of it. inf where the rig runs away."""
         effects = [*self.others, cause]
-        truth = self._counted(
-            _weighted(simulate_case(self.constants, effects, self.tests, self.conditions, exact=True), self.conditions)
-        )
+        outputs = simulate_case(self.constants, effects, self.tests, self.conditions, exact=True)
+        truth = _weighted(outputs, self.conditions)
         if not np.all(np.isfinite(truth)):
             return math.inf
         z, y, s = self.start, self.y0, self.s0
@@ -375,13 +372,16 @@ class Severity:
             free[self.keys.index(name)] = 0.0
 
         def objective(y: Array, z: Array) -> float:
-            return float(np.sum((truth - y) ** 2) + np.sum((self.weight * z) ** 2))
+            gap = truth - y
+            if not np.all(np.isfinite(gap)):
+                return math.inf
+            return float(np.sum(self._counted(gap) ** 2) + np.sum((self.weight * z) ** 2))
 
         best = objective(y, z)
         for turn in range(turns):
             if turn:
                 s = self._slopes(z, y)
-            move = _least_squares(s, truth - y, self.weight, z)
+            move = _least_squares(s, self._counted(truth - y), self.weight, z)
             reach = min(1.0, 6.0 / float(np.max(np.abs(move[: len(self.own)]))))
             for shrink in reach * np.array([1.0, 0.4, 0.1, 0.02]):
                 y_new = self._model(z + shrink * move)
@@ -400,7 +400,7 @@ class Severity:
             quiet = simulate_case(self.constants, self.others, self.tests, self.conditions)
             known = self._counted(_weighted(quiet, self.conditions, read=True) - _weighted(quiet, self.conditions))
         # Both rigs' constants at last make of the noise, and of nearness to nominal, what pays.
-        gap = truth - y
+        gap = self._counted(truth - y)
         read = _best(s, gap + noise, self.weight, z) - _best(with_s, known, free, with_z)
         if name == "stuck_bit":
             return read

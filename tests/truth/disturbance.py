@@ -35,8 +35,11 @@ Array = NDArray[np.float64]
 
 TIMES = {"torque": (0.1, 2.0), "drift": (3.0, 20.0), "force": (0.02, 0.3), "noise": (0.004, 0.05)}
 """Range of each correlation time, s; drawn evenly in the logarithm."""
-NODES = 5.0
-"""Per correlation time, of paths that are worked out rather than drawn."""
+PIECE = 1000
+"""Ticks whose readings' covariance is worked out whole; of a longer run what disturbs one piece of it is taken to be
+independent of what disturbs the next."""
+HELD = 5
+"""Ticks for which a drift, which takes seconds, is held where its covariance is worked out."""
 STREAM = 0xD157
 """Keeps these draws apart from all others of a seed."""
 
@@ -125,48 +128,86 @@ def _motion(truth: Truth, quiet: Output) -> tuple[Array, Array]:
     return speed, tip - root * truth.rig["beam"]["length"] if truth.mech.has_tip else np.zeros(len(speed))
 
 
-def directions(world: World, truth: Truth, quiet: Output, run: Callable[..., Output]) -> tuple[Array, Array]:
-    """What slow disturbances may do to a run's encoder and accelerometer: (n, m) counts each, columns of variance 1.
+def covariances(world: World, truth: Truth, quiet: Output, run: Callable[..., Output]) -> list[tuple[Array, Array]]:
+    """Covariance, counts^2, of what disturbances do to a run's readings, and its rows of all readings, piece by piece.
 
-    `run(truth, pushes)` gives the run on a rig, without rounding and noise. Torque and drift: nodes NODES per
-    correlation time, joined by straight lines, through the loop's response to one tick of torque (linear, as where
-    nothing is at its limit). Modes and start: by finite differences. Force and noise are left to `signal_share`.
+    `run(truth, pushes)` gives the run on a rig, without rounding and noise. Readings (c n) are all of a channel after
+    the other; a piece has up to PIECE ticks, (c m), (c m, c m). What acts tick by tick goes through the loop's response
+    to one tick of it (linear, as where nothing is at its limit): torque and drift at the motor, force at the tip, the
+    accelerometer's own noise. Modes and start: by finite differences.
     """
     n, share = len(quiet.t), world.level / math.sqrt(2.0)
+    channels = 2 if truth.has_accelerometer else 1
+    decay = {name: math.exp(-truth.period / time) for name, time in world.times.items()}
+    command, signal = shown(truth, quiet)
+
+    def answer(**tick: float) -> Array:
+        """(c, n) to so much of something at the first tick, per unit."""
+        (name, size), = tick.items()
+        pushed, still = (_readings(run(truth, _still(n, **{name: size * (np.arange(n) == k)}), np.zeros(n)))
+                         for k in (0, n))
+        return np.array([(a - b) / size for a, b in zip(pushed, still, strict=True)])[:channels]
+
+    by_torque = answer(torque=1e-3 * truth.gain * truth.par["limit"])
+    carried = [((share * command) ** 2, by_torque, decay["torque"])]
+    if truth.has_accelerometer:
+        alone = force_response(truth, (np.arange(n) == 0).astype(float))[None]
+        pieces = [_carried(alone, decay["force"], begin, min(begin + PIECE, n)) for begin in range(0, n, PIECE)]
+        force = (share * signal) ** 2 / float(np.mean(np.concatenate([piece.diagonal() for piece in pieces])))
+        carried += [(force, answer(force=1e-3), decay["force"]),
+                    ((share * signal) ** 2, answer(noise=1.0), decay["noise"])]
     acting = quiet.trace[np.minimum(np.arange(n) + 1, n - 1), 13]  # a tick's trace shows what acted until then
-    paths = [share * shown(truth, quiet)[0] * _nodes(n, truth.period, world.times["torque"]),
-             share * truth.gain * acting[:, None] * _nodes(n, truth.period, world.times["drift"])]
-    tick = 1e-3 * truth.gain * truth.par["limit"]
-    pulse = [_readings(run(truth, _still(n, torque=tick * (np.arange(n) == k)), np.zeros(n))) for k in (0, n)]
-    answers = [(one - other)[:, None] / tick for one, other in zip(*pulse, strict=True)]
-    found = [fftconvolve(answers[channel], np.hstack(paths), axes=0)[:n] for channel in (0, 1)]
+    drift = np.repeat(_shocks(-(-n // HELD), decay["drift"] ** HELD), HELD, axis=0)[:n]
+    gains = share * truth.gain * acting[:, None] * drift
+    moved = [np.concatenate([fftconvolve(a[:, None], gains, axes=0)[:n] for a in by_torque])]
+    moved += [np.concatenate(small[:channels])[:, None] for small in _small(world, truth, quiet, run)]
+    columns, found = np.hstack(moved), []
+    for begin in range(0, n, PIECE):
+        end = min(begin + PIECE, n)
+        rows = np.concatenate([np.arange(begin, end) + n * channel for channel in range(channels)])
+        total = sum(variance * _carried(answers, kept, begin, end) for variance, answers, kept in carried)
+        found.append((rows, total + columns[rows] @ columns[rows].T))
+    return found
+
+
+def _carried(answers: Array, decay: float, begin: int, end: int) -> Array:
+    """Covariance (c m, c m) at m ticks of a Gauss-Markov path of variance 1, behind responses (c, n) to one tick of it.
+
+    With g the response to a shock that decays, shocks of variance 1 - decay^2, the first of 1, give
+
+        C[i, j] = (1 - decay^2) sum over k <= min(i, j) of g[i - k] g'[j - k] + decay^2 g[i] g'[j].
+    """
+    g = lfilter([1.0], [1.0, -decay], answers, axis=1)[:, :end]
+    channels, m = len(g), end - begin
+    total = np.zeros((channels, m, channels, m))
+    for one in range(channels):
+        for other in range(channels):
+            total[one, 0, other] = np.correlate(g[other], g[one, : begin + 1], "valid")
+            total[other, :, one, 0] = total[one, 0, other]
+    for i in range(1, m):
+        total[:, i, :, 1:] = total[:, i - 1, :, :-1] + g[:, begin + i, None, None] * g[:, begin + 1 :]
+    first = decay * g[:, begin:].ravel()
+    return (1.0 - decay * decay) * total.reshape(channels * m, -1) + np.outer(first, first)
+
+
+def _shocks(n: int, decay: float) -> Array:
+    """(n, n) a Gauss-Markov path of variance 1 by its independent shocks: the covariance's lower Cholesky factor."""
+    ages = np.subtract.outer(np.arange(n), np.arange(n))
+    sizes = np.where(np.arange(n) == 0, 1.0, math.sqrt(1.0 - decay * decay))
+    return np.where(ages >= 0, decay ** np.maximum(ages, 0), 0.0) * sizes
+
+
+def _small(world: World, truth: Truth, quiet: Output, run: Callable[..., Output]) -> list[Array]:
+    """(2, n) each: what one standard deviation of a start's speed and bend, and of every mode's factor, does."""
+    n, still = len(quiet.t), np.array(_readings(quiet))
     speed, bend = (world.level * float(np.std(x)) for x in _motion(truth, quiet))
-    still = [_readings(quiet)]
-    moved = [_readings(run(truth, _still(n, speed=speed))), _readings(run(truth, _still(n, bend=bend)))]
+    starts = _still(n, speed=speed), _still(n, bend=bend)
+    found = [np.array(_readings(run(truth, start))) - still for start in starts]
     for mode in range(MODES if truth.mech.has_tip else 0):
         factors = np.ones(MODES)
         factors[mode] = math.exp(0.05 * world.level)
-        change = [(a - b) / 0.1 for a, b in zip(_readings(run(truth.detuned(factors), None)), still[0], strict=True)]
-        moved.append([b + c for b, c in zip(still[0], change, strict=True)])
-    for channel in (0, 1):
-        extra = np.array([row[channel] - still[0][channel] for row in moved]).T
-        found[channel] = np.hstack([found[channel], extra])
-    return found[0], found[1]
-
-
-def signal_share(world: World, truth: Truth, quiet: Output) -> float:
-    """Standard deviation of the accelerometer's own disturbance, by force and noise together, counts."""
-    return world.level * shown(truth, quiet)[1]
-
-
-def _nodes(n: int, period: float, time: float) -> Array:
-    """Paths (n, m) of a Gauss-Markov process of variance 1, one per independent number."""
-    count = max(2, math.ceil(NODES * n * period / time)) + 1
-    places = np.linspace(0.0, n * period, count)
-    lower = np.linalg.cholesky(np.exp(-np.abs(places[:, None] - places) / time))
-    t = np.arange(n) * period
-    hats = np.array([np.interp(t, places, row) for row in np.eye(count)]).T
-    return hats @ lower
+        found.append((np.array(_readings(run(truth.detuned(factors), None))) - still) / 0.1)
+    return found
 
 
 def _still(n: int, **pushes: Any) -> Pushes:
@@ -175,5 +216,4 @@ def _still(n: int, **pushes: Any) -> Pushes:
 
 
 def _readings(out: Output) -> tuple[Array, Array]:
-    encoder, accel = out.unrounded
-    return encoder, np.zeros(len(encoder)) if accel is None else accel
+    return out.encoder, np.zeros(len(out.encoder)) if out.accel is None else out.accel
