@@ -33,6 +33,9 @@ EXACT = frozenset({"amplifier.limit", "encoder.counts_per_revolution", "beam.ele
 MAX_ELEMENTS = 200
 MESH_ACCURACY = 0.0025
 """Relative error of a bending wave's frequency on a refined mesh, at a quarter of the sample rate."""
+DOUBLINGS = 2
+"""Most doublings of a mesh in a fit: four times the elements take about ten times as long to decouple,
+sixteen times two hundred."""
 
 
 class _Table(BaseModel):
@@ -277,11 +280,12 @@ class Rig(_Table):
         """A copy with its elements doubled as often as its constants have left those that the mesh was made for.
 
         For fits: within a factor of four of a beam's rigidity the mesh stays as it is, so that their steps do not
-        change it.
+        change it.  At most DOUBLINGS times: a beam that asks for more is many times as long as the rig file says, and
+        what its mesh then lacks (the share above grows with the square of the frequency) is above what it swings at.
         """
         if self.beam is None or self.beam.mesh == "as_stated":
             return self
-        doublings = round(math.log2(self._wanted_elements(self.beam) / self.beam.elements))
+        doublings = min(round(math.log2(self._wanted_elements(self.beam) / self.beam.elements)), DOUBLINGS)
         return self if doublings <= 0 else self.with_elements(min(self.beam.elements << doublings, MAX_ELEMENTS))
 
     def _wanted_elements(self, beam: Beam) -> float:

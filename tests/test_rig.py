@@ -39,6 +39,13 @@ def test_a_mesh_is_as_fine_as_its_accuracy_wants_never_coarser_than_the_file_and
     assert RIGS["axis"].meshed() is RIGS["axis"]
 
 
+def test_a_fit_that_strays_to_absurd_beams_does_not_refine_its_mesh_without_end():
+    rig = RIGS["sflr"].meshed()
+    length = rig.beam.length
+    elements = [rig.with_constants({"beam.length": times * length}).remeshed().beam.elements for times in (1, 2, 4, 20)]
+    assert elements == [8, 16, 32, 32]
+
+
 @pytest.mark.parametrize(("line", "words"), [
     ("travel = -1.0", "limits.travel: .*greater than 0, not -1.0"), ("speed = 0.0", "limits.speed: .*greater than 0"),
     ("command = inf", "limits.command: "), ('travel = "far"', "limits.travel: "),
