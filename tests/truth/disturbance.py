@@ -151,10 +151,10 @@ def covariances(world: World, truth: Truth, quiet: Output, run: Callable[..., Ou
     by_torque = answer(torque=1e-3 * truth.gain * truth.par["limit"])
     carried = [((share * command) ** 2, by_torque, decay["torque"])]
     if truth.has_accelerometer:
-        alone = force_response(truth, (np.arange(n) == 0).astype(float))[None]
-        pieces = [_carried(alone, decay["force"], begin, min(begin + PIECE, n)) for begin in range(0, n, PIECE)]
-        force = (share * signal) ** 2 / float(np.mean(np.concatenate([piece.diagonal() for piece in pieces])))
-        carried += [(force, answer(force=1e-3), decay["force"]),
+        kept = decay["force"]
+        alone = lfilter([1.0], [1.0, -kept], force_response(truth, (np.arange(n) == 0).astype(float))) ** 2
+        variance = float(np.mean((1.0 - kept * kept) * np.cumsum(alone) + kept * kept * alone))  # C[i, i] of `_carried`
+        carried += [((share * signal) ** 2 / variance, answer(force=1e-3), kept),
                     ((share * signal) ** 2, answer(noise=1.0), decay["noise"])]
     acting = quiet.trace[np.minimum(np.arange(n) + 1, n - 1), 13]  # a tick's trace shows what acted until then
     drift = np.repeat(_shocks(-(-n // HELD), decay["drift"] ** HELD), HELD, axis=0)[:n]
