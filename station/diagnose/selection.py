@@ -52,7 +52,7 @@ class Effort:
     """Of simulations in the search, and of those from which values are stated."""
 
 
-EFFORTS = {"quick": Effort(tried=6, finished=2, pairs=1, exchanged=1, rungs=2, content=True,
+EFFORTS = {"quick": Effort(tried=6, finished=2, pairs=1, exchanged=1, rungs=3, content=True,
                            accuracies=(COARSE, SEARCH)),
            "full": Effort(tried=12, finished=4, pairs=3, exchanged=3, rungs=3, content=False,
                           accuracies=(SEARCH, FINE))}
@@ -114,7 +114,8 @@ class Selection:
     def score(self, found: Fit) -> float:
         """Log posterior of a set of causes, up to a constant."""
         hypothesis = found.space.hypothesis
-        further = sum(len(cls.parameters()) - 1 for cls, _ in hypothesis.effects) + found.space.zeros
+        zeros = found.space.zeros * found.space.known_zeros     # else they are there without any cause
+        further = sum(len(cls.parameters()) - 1 for cls, _ in hypothesis.effects) + zeros
         score = (self.evidence(found) + LOG_PRIOR * len(hypothesis.causes)
                  + LOG_PRIOR_PARAMETER * further + self.clock_score(hypothesis))
         return score if np.isfinite(score) else -np.inf

@@ -95,8 +95,8 @@ def leave_each_out(predictor: Predictor, weighing: Weighing, found: Fit, iterati
     """For every run a fit that leaves that run out.
 
     Begun from the fit of all runs, since the way from the prior ends in side valleys; what the left-out run alone had
-    said is lost on the way, for there the prior alone speaks.  Where in a gap the motor stood at the run's start is
-    its own, as its starting angle is, and stays.
+    said is lost on the way, for there the prior alone speaks.  Where in a gap the motor stood at the run's start, and a
+    zero of the encoder that no other run has, are its own, as its starting angle is, and stay.
     """
     def without(r: int) -> Fit:
         weights = np.ones(len(predictor.data.runs))
@@ -104,7 +104,7 @@ def leave_each_out(predictor: Predictor, weighing: Weighing, found: Fit, iterati
         with suppress(*DIVERGED):
             left = fit(predictor, found.space, weighing, found.x, found.own, runs=weights,
                        jacobian=found.jacobian, iterations=iterations, renewals=2).light
-            return replace(left, x=found.space.with_place_of(left.x, found.x, r))
+            return replace(left, x=found.space.with_own_of(left.x, found.x, r, predictor.data.zero_group))
         return found.light
 
     return list(predictor.pool.map(without, range(len(predictor.data.runs))))

@@ -309,6 +309,7 @@ class _Descent:
         self.nuisance = nuisance_precision(data, weighing.differ)
         self.steps = np.append(np.full(space.size, STEP), own_steps(data)[data.free])
         self.steps[space.parts["places"]] = PLACE_STEP
+        self.of_runs = list(space.of_runs(data.zero_group))
 
     def away(self, own: np.ndarray) -> np.ndarray:
         return (own - self.data.own)[:, self.data.free]
@@ -350,25 +351,28 @@ class _Descent:
     def jacobian(self, here: _Point, known: list[np.ndarray] | None = None) -> list[np.ndarray]:
         """Per run (p + c, b, n); those by constants and nuisances are taken from ``known``, if there is one.
 
-        A motor's place in a gap moves its own run alone.
+        What moves some runs alone, an encoder's zero or a motor's place in a gap, is moved in all runs at once.
         """
-        p, places = self.space.size, self.space.parts["places"]
+        p, alone = self.space.size, {k for kind in self.of_runs for _, k in kind}
         size = p + len(self.data.free)
         rows = [np.zeros((size, *y.shape)) for y in here.predicted] if known is None else [j.copy() for j in known]
         shared = [k for k in (range(size) if known is None else range(len(self.space.paths), p))
-                  if not places.start <= k < places.stop]
+                  if k not in alone]
         pool = self.predictor.pool
         parts = np.array_split(shared, pool.size)
         for some, columns in zip(parts, pool.map(partial(self.columns, here), parts), strict=True):
             for k, column in zip(some, columns, strict=True):
                 for row, changes in zip(rows, column, strict=True):
                     row[k] = changes
-        if self.space.gap_places:
-            x = here.x.copy()
-            x[places] += PLACE_STEP
-            for r, y in enumerate(self.predictor.runs(self.space, x, here.own)):
-                rows[r][places] = 0.0
-                rows[r][places.start + r] = (y - here.predicted[r]) * self.scale[r] / PLACE_STEP
+        for kind in filter(None, self.of_runs):
+            x, moved = here.x.copy(), sorted({k for _, k in kind})
+            x[moved] += self.steps[moved]
+            predicted = self.predictor.runs(self.space, x, here.own)
+            for row in rows:
+                row[moved] = 0.0
+            for r, k in kind:
+                change = (predicted[r] - here.predicted[r]) * self.scale[r] / self.steps[k]
+                rows[r][k] = change if np.all(np.isfinite(change)) else 0.0
         return rows
 
     def normal(self, here: _Point, jac: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:

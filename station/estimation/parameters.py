@@ -7,7 +7,7 @@ Positive sizes of effects enter by their logarithm, others in units of a usual s
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
@@ -95,7 +95,13 @@ class Held:
     name: str
     nominal: float
     sigma: float
-    """Of its logarithm."""
+    """Of its logarithm, of an angle itself, rad."""
+    angle: bool
+
+    def value(self, away: float) -> float:
+        """So many sigmas from nominal."""
+        moved = self.sigma * away
+        return self.nominal + moved if self.angle else self.nominal * math.exp(moved)
 
 
 EXACT = 1e-6
@@ -118,7 +124,10 @@ class Parameters:
     """(n, k) L, the logarithms of the constants over nominal per unit of x; k < n ``along`` some directions alone."""
     coordinates: tuple[Coordinate, ...]
     zeros: int
-    """Further encoder zeros (beyond the first) whose absolute angle is unknown."""
+    """Encoder zeros whose absolute angle is unknown."""
+    known_zeros: int
+    """Groups of runs before those: 1 where the first group's zero is what absolute angles are counted from, 0 where the
+    rig file's own effects say these."""
     held: tuple[Held, ...]
     gap_places: int
     mean: np.ndarray
@@ -166,8 +175,7 @@ class Parameters:
         rig = self.rig.with_constants(moved).remeshed()
         own = list(self.rig.effects)
         for held, value in zip(self.held, x[self.parts["held"]], strict=True):
-            own[held.effect] = own[held.effect].model_copy(
-                update={held.name: held.nominal * math.exp(held.sigma * value)})
+            own[held.effect] = own[held.effect].model_copy(update={held.name: held.value(value)})
         values = self.values(x)
         effects = [cls.model_construct(None, at=at, **_ordered(values[cls.name, at]))
                    for cls, at in self.hypothesis.effects]
@@ -175,13 +183,26 @@ class Parameters:
 
     def zero(self, x: np.ndarray, group: int) -> float:
         """Absolute angle (rad) of encoder count 0 in a group of runs that share it."""
-        return float(x[self.parts["zeros"]][group - 1]) if self.zeros and group else 0.0
+        return float(x[self.parts["zeros"]][group - self.known_zeros]) if group in self.free_zeros else 0.0
 
-    def with_place_of(self, x: np.ndarray, other: np.ndarray, run: int) -> np.ndarray:
-        """The parameters ``x`` (p) with the place in a gap, where there are any, that ``other`` (p) has for a run."""
-        x, places = x.copy(), range(self.size)[self.parts["places"]]
-        if self.gap_places:
-            x[places[run]] = other[places[run]]
+    @property
+    def free_zeros(self) -> range:
+        """The groups of runs whose zero is unknown."""
+        return range(self.known_zeros, self.known_zeros + self.zeros)
+
+    def of_runs(self, zero_group: Sequence[int]) -> Iterator[list[tuple[int, int]]]:
+        """(run, index in x) of the parameters that move some runs alone, kind by kind; a run has one of a kind."""
+        zeros, places = self.parts["zeros"].start - self.known_zeros, self.parts["places"].start
+        yield [(run, zeros + group) for run, group in enumerate(zero_group) if group in self.free_zeros]
+        yield [(run, places + run) for run in range(self.gap_places)]
+
+    def with_own_of(self, x: np.ndarray, other: np.ndarray, run: int, zero_group: Sequence[int]) -> np.ndarray:
+        """The parameters ``x`` (p) with those that ``other`` (p) has for a run alone."""
+        x = x.copy()
+        for kind in self.of_runs(zero_group):
+            moved = [k for _, k in kind]
+            own = [k for r, k in kind if r == run and moved.count(k) == 1]
+            x[own] = other[own]
         return x
 
     def place(self, x: np.ndarray, run: int) -> float:
@@ -209,7 +230,7 @@ class Parameters:
         effects = self.hypothesis.effects
         return [*self.paths,
                 *(f"{cls.name}@{at}.{c.name}" for c in self.coordinates for cls, at in [effects[c.effect]]),
-                *(f"encoder zero {k + 2}" for k in range(self.zeros)),
+                *(f"encoder zero {group + 1}" for group in self.free_zeros),
                 *(f"{self.rig.effects[h.effect].name}.{h.name}" for h in self.held),
                 *(f"place in the gap, run {k + 1}" for k in range(self.gap_places))]
 
@@ -246,20 +267,23 @@ def parameters(data: Dataset, hypothesis: Hypothesis, centres: Sizes, fixed: Col
             else:
                 precision.append((WIDE if coordinate.log else PHASE if info.periodic else PLACE) ** -2)
             mean.append(coordinate.to_x(value))
-    shifted = any(cls.absolute is not None for cls, _ in hypothesis.effects)
-    zeros = max(data.zero_group) if shifted else 0
+    stated = any(effect.absolute is not None for effect in rig.effects)
+    shifted = stated or any(cls.absolute is not None for cls, _ in hypothesis.effects)
+    zeros = max(data.zero_group) + stated if shifted else 0
     held = _held(rig)
     places = len(data.runs) if any(cls.stage is Stage.GAP for cls, _ in hypothesis.effects) else 0
     mean += [0.0] * (zeros + len(held) + places)
     precision += [PLACE**-2] * zeros + [1.0] * (len(held) + places)
-    return Parameters(rig, hypothesis, paths, np.linalg.cholesky(covariance), tuple(coordinates), zeros, held, places,
-                      np.array(mean), np.array(precision))
+    return Parameters(rig, hypothesis, paths, np.linalg.cholesky(covariance), tuple(coordinates), zeros,
+                      int(not stated), held, places, np.array(mean), np.array(precision))
 
 
 def _held(rig: Rig) -> tuple[Held, ...]:
-    return tuple(Held(k, name, value, rig.uncertainty[f"{effect.name}.{name}"])
-                 for k, effect in enumerate(rig.effects) for name, value in effect.values().items()
-                 if rig.uncertainty.get(f"{effect.name}.{name}", 0.0) > 0.0 and value != 0.0)
+    return tuple(Held(k, name, value, sigma, info.periodic)
+                 for k, effect in enumerate(rig.effects) for (name, value), info in
+                 zip(effect.values().items(), type(effect).parameters().values(), strict=True)
+                 if (sigma := rig.uncertainty.get(f"{effect.name}.{name}", 0.0)) > 0.0
+                 and (value != 0.0 or info.periodic))
 
 
 def _coordinate(effect: int, name: str, info: ParameterInfo, value: float, usual: Sequence[float],

@@ -120,11 +120,11 @@ def test_every_run_is_left_out_once_from_where_the_fit_of_all_ended(monkeypatch:
         return Left(Left(None, f"without {int(np.argmin(runs))}"), "")
 
     monkeypatch.setattr(module, "fit", fit)
-    space = SimpleNamespace(with_place_of=lambda x, other, run: f"{x}, {other}'s place of {run}")
+    space = SimpleNamespace(with_own_of=lambda x, other, run, zero_group: f"{x}, {other}'s own of {run}")
     found = SimpleNamespace(space=space, x="here", own=None, jacobian="known", light="of all")
-    predictor = SimpleNamespace(data=SimpleNamespace(runs=[None] * 3), pool=Pool())
+    predictor = SimpleNamespace(data=SimpleNamespace(runs=[None] * 3, zero_group=(0,) * 3), pool=Pool())
     left = leave_each_out(predictor, None, found)
-    assert [one.x for one in left[:2]] == ["without 0, here's place of 0", "without 1, here's place of 1"]
+    assert [one.x for one in left[:2]] == ["without 0, here's own of 0", "without 1, here's own of 1"]
     assert left[2] == "of all"
     assert [row[0] for row in asked] == [[0.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 0.0]]
     assert {row[1:] for row in asked} == {("here", "known")}

@@ -182,3 +182,18 @@ def test_a_start_that_does_not_simulate_is_refused(predictor: Predictor, fitted:
     """An angle that is not a number stands for a model that has run away."""
     with pytest.raises(ArithmeticError, match="does not simulate"):
         fit(predictor, fitted.space, weighing, fitted.x, own=np.full((3, 4), np.nan))
+
+
+def test_zeros_that_are_moved_in_all_runs_at_once_move_each_run_by_its_own() -> None:
+    pendulum = AXIS.with_effects([effect_class("gravity_tilt")(at="base", torque=0.05, angle=0.0)])
+    runs = [replace(run, metadata=run.metadata.model_copy(update={"zero_id": name}))
+            for run, name in zip(runs_of(pendulum), ("bench", "other", "bench"), strict=True)]
+    predictor = Predictor(dataset(pendulum, runs), observers(pendulum, 0.0), Pool())
+    space = parameters(predictor.data, Hypothesis(), {})
+    descent = _Descent(predictor, space, Weighing(predictor.counts, 1.0), np.ones(3))
+    here = descent.at(space.mean, predictor.data.own)
+    jacobian, first = descent.jacobian(here), space.parts["zeros"].start
+    for group in (0, 1):
+        for r, alone in enumerate(descent.column(here, first + group)):
+            np.testing.assert_array_equal(jacobian[r][first + group], alone)
+            assert np.any(alone) == (predictor.data.zero_group[r] == group)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,10 +11,12 @@ import pytest
 from station.estimation.dataset import dataset
 from station.estimation.parameters import FARTHEST, WIDE, Hypothesis, parameters
 from station.model.effects import effect_class
+from station.runs.run import Run
 from tests.estimation.made import AXIS, runs_of
 
 DATA = dataset(AXIS, runs_of(AXIS))
 FRICTION, DELAY, ROUND = (effect_class(n) for n in ("coulomb_friction", "input_delay", "encoder_eccentricity"))
+TILT = effect_class("gravity_tilt")
 CENTRES = {("coulomb_friction", "motor"): {"torque": 0.01}, ("input_delay", "amplifier"): {"time": 0.004},
            ("encoder_eccentricity", "encoder"): {"amplitude": 2.0, "phase": 0.5}}
 ONE, BOTH = Hypothesis(((FRICTION, "motor"),)), Hypothesis(((FRICTION, "motor"), (DELAY, "amplifier")))
@@ -82,3 +85,45 @@ def test_causes_are_taken_out_and_put_in() -> None:
     assert BOTH.without(("input_delay", "amplifier")).key == ONE.key
     assert (ONE + Hypothesis((), ("motor.gain",))).key == {("coulomb_friction", "motor"), ("parameter:motor.gain", "")}
     assert Hypothesis().label == "nothing"
+
+
+def test_an_angle_of_an_effect_that_the_rig_holds_moves_by_radians() -> None:
+    """A relative uncertainty of an angle would depend on where angles are counted from, and be none at 0."""
+    pendulum = AXIS.with_effects([TILT(at="base", torque=0.02, angle=0.0)])
+    unsure = pendulum.model_copy(update={"uncertainty": {**pendulum.uncertainty, "gravity_tilt.angle": 0.05}})
+    space = parameters(dataset(unsure, runs_of(AXIS)), Hypothesis(), {})
+    x = space.mean.copy()
+    x[space.parts["held"]] = 2.0
+    assert space.rig_at(x).effects[0].values() == pytest.approx({"torque": 0.02, "angle": 0.1})
+
+
+def zeroed(*names: str | None) -> list[Run]:
+    """Three runs whose encoders are zeroed as named."""
+    return [replace(run, metadata=run.metadata.model_copy(update={"zero_id": name}))
+            for run, name in zip(runs_of(AXIS), names, strict=True)]
+
+
+@pytest.mark.parametrize(("stated", "supposed", "names", "wanted"), [
+    (False, False, (None, None, None), [0.0, 0.0, 0.0]),
+    (False, True, (None, None, None), [0.0, 1.0, 2.0]),
+    (False, True, ("bench", "other", "bench"), [0.0, 1.0, 0.0]),
+    (True, False, (None, None, None), [1.0, 2.0, 3.0]),
+    (True, True, ("bench", "other", "bench"), [1.0, 2.0, 1.0])])
+def test_a_zero_is_unknown_unless_absolute_angles_are_counted_from_it(stated, supposed, names, wanted) -> None:
+    """An angle that the rig file says is known, so no run's zero is; one that is sought is counted from the first."""
+    rig = AXIS.with_effects([TILT(at="base", torque=0.02, angle=0.3)] if stated else [])
+    data = dataset(rig, zeroed(*names))
+    space = parameters(data, Hypothesis(((ROUND, "encoder"),) if supposed else ()), CENTRES)
+    x = space.mean.copy()
+    x[space.parts["zeros"]] = 1.0 + np.arange(space.zeros)
+    assert [space.zero(x, group) for group in data.zero_group] == wanted
+
+
+def test_a_run_that_is_left_out_keeps_a_zero_that_no_other_has() -> None:
+    data = dataset(AXIS.with_effects([TILT(at="base", torque=0.02, angle=0.3)]), zeroed("bench", "other", "bench"))
+    space = parameters(data, Hypothesis(), {})
+    x, other = space.mean, space.mean + 1.0
+    kept = [space.with_own_of(x, other, run, data.zero_group) - x for run in range(3)]
+    first = space.parts["zeros"].start
+    np.testing.assert_array_equal(kept, [np.zeros(space.size), np.arange(space.size) == first + 1,
+                                         np.zeros(space.size)])
