@@ -150,6 +150,7 @@ class Rig(_Table):
     accelerometer: Accelerometer | None = None
     limits: Limits | None = None
     uncertainty: dict[str, NotNegative] = Field(default_factory=dict)
+    """One sigma of the natural logarithm; of an effect's angle or phase, rad."""
     effects: Annotated[tuple[Effect, ...], Field(max_length=32)] = ()
 
     @field_validator("effects", mode="before")
