@@ -3,8 +3,11 @@
 A steady Kalman filter of the linear rig, fed by the encoder alone, that takes what it missed for a torque at the motor
 (Gauss-Markov, with the horizon as its correlation time).  The torque's size, the one number left, is chosen so that a
 wrong angle is forgotten after the horizon: the integral over time of what a unit error of the angle leaves equals it.
-An infinite horizon is the simulation driven by the logged command (output error).  Ljung, System Identification (2nd
-ed., 1999), sections 3.2 (k-step-ahead predictors), 4.3 (innovations form) and 13.4 (direct method).
+
+Two horizons are looked at.  The quick one tells what a torque does at once: it is the memory of the observer for which
+the torque is as large as what models of rigs lack (``UNMODELLED``), so the finer an encoder, the shorter it is.  An
+infinite horizon is the simulation driven by the logged command (output error).  Ljung, System Identification (2nd ed.,
+1999), sections 3.2 (k-step-ahead predictors), 4.3 (innovations form) and 13.4 (direct method).
 
 Every rig that is simulated has its own (the gain is a function of the parameters: Ljung, section 4.3), with the same
 horizon.  With gains of the nominal rig a hypothesis would win by what it makes of them: with a rigid drive in place of
@@ -16,7 +19,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -28,9 +31,11 @@ from station.model.modal import ModalForm, apply, dense
 from station.model.simulate import Model, build
 from station.rig import Rig
 
-HORIZONS = (0.05, math.inf)
-"""Seconds: what a torque does at once, and whole runs.  One between them reads what whole runs read: where a loop is
-closed their slopes correlate by 0.9, and what counts twice makes causes that are not there look likely."""
+UNMODELLED = 1.0 / 300.0
+"""Size of a torque that a rig's model may lack, as a share of the amplifier's limit: a fiftieth of what its tests command,
+which is about a sixth of the limit (root mean square)."""
+QUICKEST, SLOWEST = 3.0, 0.5
+"""Shortest horizon, in samples, and longest, s, that it may ask for."""
 ROUNDS = 40
 """Halvings of the logarithm of the torque's size, for the nominal rig."""
 SIZES = (1e-4, 1e7)
@@ -182,10 +187,44 @@ def _period(model: Model) -> float:
     return model.plan.substeps * model.plan.h
 
 
-def observers(rig: Rig, noise: float, horizons: Sequence[float] = HORIZONS) -> tuple[Observer, ...]:
-    """One for each horizon (s); ``noise``: standard deviation of the encoder before rounding, counts."""
+def observers(rig: Rig, noise: float, horizons: Sequence[float] | None = None) -> tuple[Observer, ...]:
+    """One for each horizon (s), or for the quick one and whole runs (one between them reads what whole runs read: where
+    a loop is closed their slopes correlate by 0.9, and what counts twice makes causes that are not there look likely).
+
+    ``noise``: standard deviation of the encoder before rounding, counts.
+    """
     linear = rig.with_effects([]).model_copy(update={"uncertainty": {}}).model_dump_json()
-    return tuple(_observer(linear, noise**2 + QUANTISATION, horizon) for horizon in horizons)
+    variance = noise**2 + QUANTISATION
+    asked = (_quick(linear, variance), math.inf) if horizons is None else horizons
+    return tuple(_observer(linear, variance, horizon) for horizon in asked)
+
+
+@functools.lru_cache(maxsize=64)
+def _quick(linear: str, variance: float) -> float:
+    """Seconds: memory of the observer that takes what it missed for a torque of ``UNMODELLED``."""
+    rig = Rig.model_validate_json(linear)
+    model, log_size = build(rig, 0.1, 1e-3), math.log(UNMODELLED * rig.amplifier.limit)
+
+    def forgets(log_horizon: float) -> bool:
+        horizon = math.exp(log_horizon)
+        system = _filter(model, horizon, _slowest(model, horizon))
+        return _excess(system, horizon, _gain(system, variance, log_size, _doublings(horizon, system.period))) < 0.0
+
+    return math.exp(_crossing(forgets, math.log(QUICKEST * rig.period), math.log(SLOWEST)))
+
+
+def _crossing(beyond: Callable[[float], bool], low: float, high: float) -> float:
+    """From where on something is true, by bisection."""
+    for _ in range(ROUNDS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if beyond(middle) else (middle, high)
+    return high
+
+
+def _slowest(model: Model, horizon: float) -> np.ndarray:
+    """The modes that are corrected, the slowest first."""
+    speeds = _speeds(model.form)
+    return np.argsort(speeds, kind="stable")[: max(int(np.sum(speeds < max(FASTEST[0] / horizon, FASTEST[1]))), 1)]
 
 
 @functools.lru_cache(maxsize=64)
@@ -194,14 +233,14 @@ def _observer(linear: str, variance: float, horizon: float) -> Observer:
     if math.isinf(horizon):
         return Observer(horizon, variance)
     model = build(Rig.model_validate_json(linear), 0.1, 1e-3)
-    blocks = max(int(np.count_nonzero(_speeds(model.form) < max(FASTEST[0] / horizon, FASTEST[1]))), 1)
-    system = _filter(model, horizon, np.argsort(_speeds(model.form), kind="stable")[:blocks])
-    low, high = (math.log(s) for s in SIZES)
-    for _ in range(ROUNDS):
-        middle = 0.5 * (low + high)
-        gain = _gain(system, variance, middle, _doublings(horizon, system.period))
-        low, high = (middle, high) if _excess(system, horizon, gain) > 0.0 else (low, middle)
-    return Observer(horizon, variance, blocks, high).near(model)
+    slowest = _slowest(model, horizon)
+    system = _filter(model, horizon, slowest)
+
+    def forgets(log_size: float) -> bool:
+        return _excess(system, horizon, _gain(system, variance, log_size, _doublings(horizon, system.period))) < 0.0
+
+    log_size = _crossing(forgets, *(math.log(s) for s in SIZES))
+    return Observer(horizon, variance, slowest.size, log_size).near(model)
 
 
 @njit(cache=True, nogil=True)

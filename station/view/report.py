@@ -21,7 +21,7 @@ from station.diagnose.thresholds import STABLE
 from station.pictures.evidence import Evidence
 from station.view import figures, remaining, wording
 from station.view.html import render, script_json, write_page
-from station.view.residuals import HORIZON, residuals
+from station.view.residuals import residuals
 
 FIRST_RANKED, MAX_RANKED = 6, 20
 """Rivals shown at once, and with those that are folded away; the rest are counted."""
@@ -272,11 +272,6 @@ class _Page:
         """What is left, in a sentence."""
         rows = self.white_rows
         return wording.remains_sentence(self.diagnosis, sum(row.larger for row in rows), len(rows))
-
-    @property
-    def horizon(self) -> float:
-        """Seconds after which the observer of the residuals has forgotten an error."""
-        return HORIZON
 
     @property
     def unpredicted(self) -> list[int]:

@@ -1,10 +1,9 @@
 """The residuals of the last section of a report: how far each sample lies from its prediction one sample ahead.
 
-They are the innovations of the observer that forgets an error of the angle within HORIZONS[0] seconds
-(station.estimation.observer), with the logged command: no controller enters, so that in a closed loop, too, an earlier
-command that still shows in them is physics that the rig lacks (the direct method, Ljung 1999, section 13.4).  Residuals
-of whole closed loops would not do: noise goes round the loop and comes back coloured though the rig be right.  Of an
-open integrator's whole run the drift would hide all else.
+They are the innovations of the observer of the quick horizon (station.estimation.observer), with the logged command:
+no controller enters, so that in a closed loop, too, an earlier command that still shows in them is physics that the rig
+lacks (the direct method, Ljung 1999, section 13.4).  Residuals of whole closed loops would not do: noise goes round the
+loop and comes back coloured though the rig be right.  Of an open integrator's whole run the drift would hide all else.
 """
 
 from __future__ import annotations
@@ -16,14 +15,12 @@ import numpy as np
 
 from station.diagnose.result import DiagnosisResult
 from station.estimation.dataset import Dataset, dataset
-from station.estimation.observer import HORIZONS, Observer, observers
+from station.estimation.observer import Observer, observers
 from station.estimation.prediction import predict_run
 from station.model.simulate import Model, build
 from station.rig import Rig
 from station.runs.run import Run
 
-HORIZON = HORIZONS[0]
-"""Seconds after which the observer has forgotten an error."""
 CHANNELS = ("encoder", "accel")
 
 
@@ -43,6 +40,8 @@ class Residual:
     """(n) counts, in force from each row on."""
     noise: float
     """Standard deviation of a reading, rounding included, counts."""
+    horizon: float
+    """Seconds after which the observer has forgotten an error."""
 
 
 def residuals(result: DiagnosisResult) -> list[Residual]:
@@ -55,7 +54,7 @@ def residuals(result: DiagnosisResult) -> list[Residual]:
     if not kept:
         return []
     data = dataset(result.rig, [run for _, run in kept])
-    observer, = observers(data.rig, data.noise[0], (HORIZON,))
+    observer = observers(data.rig, data.noise[0])[0]
     models = [build(data.rig), build(_same_mesh(result.extended_rig, data.rig))]
     found = []
     for r, (number, run) in enumerate(kept):
@@ -65,8 +64,7 @@ def residuals(result: DiagnosisResult) -> list[Residual]:
             continue
         for c, channel in enumerate(CHANNELS[: data.channels]):
             found.append(Residual(number, run, channel, errors[0][c, rows], errors[1][c, rows],
-                                  data.runs[r].command[rows],
-                                  float(data.sigma[c])))
+                                  data.runs[r].command[rows], float(data.sigma[c]), observer.horizon))
     return found
 
 
