@@ -32,8 +32,8 @@ from station.model.simulate import Model, build
 from station.rig import Rig
 
 UNMODELLED = 1.0 / 300.0
-"""Size of a torque that a rig's model may lack, as a share of the amplifier's limit: a fiftieth of what its tests command,
-which is about a sixth of the limit (root mean square)."""
+"""Size of a torque that a rig's model may lack, as a share of the amplifier's limit: a fiftieth of what its tests
+command, which is about a sixth of the limit (root mean square)."""
 QUICKEST, SLOWEST = 3.0, 0.5
 """Shortest horizon, in samples, and longest, s, that it may ask for."""
 ROUNDS = 40

@@ -7,11 +7,14 @@ import os
 
 import pytest
 
+from station.rig import Rig
 from tests.cli.conftest import step_run
+from tests.truth import RIGID_AXIS
 
 PLAN = """
 effort = "quick"
 [blind]
+rig = "axis.toml"
 cases = 1
 first_seed = 3
 clean = 0.0
@@ -28,6 +31,7 @@ known = []
 def test_a_plan_of_two_cases_becomes_a_page_and_is_not_done_twice(station, tmp_path):
     from station.runs import export_run
 
+    (tmp_path / "axis.toml").write_text(Rig.model_validate(RIGID_AXIS).to_toml(), encoding="utf-8")
     (tmp_path / "runs").mkdir()
     for amplitude in (50.0, 80.0):
         export_run(step_run(amplitude=amplitude), tmp_path / "runs" / f"step{amplitude:.0f}.csv")

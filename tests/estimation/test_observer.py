@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from station.estimation.observer import Observer, observers
+from station.estimation.observer import UNMODELLED, Observer, observers
 from station.model.effects import effect_class
 from station.model.simulate import build, initial_state
 from station.model.stepper import advance, begin, sense
-from station.rig import Rig
+from station.rig import Encoder, Rig
 from tests.truth import RIGID_AXIS, SERVO, SFLR, TWO_MASS
 
 RIGS = {"axis": RIGID_AXIS, "two-mass": TWO_MASS, "sflr": SFLR, "servo": SERVO}
@@ -51,6 +51,23 @@ def test_a_wrong_angle_is_forgotten_after_the_horizon(shape: str, horizon: float
     assert errors.sum() * rig.period / errors[0] == pytest.approx(horizon, rel=0.02)
     if (shape, horizon) != ("sflr", 0.05):          # there the arm rings on: no torque that quick damps its mode
         assert errors[-1] < 0.02 * errors[0]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+@pytest.mark.parametrize("shape", RIGS)
+def test_the_quick_horizon_is_that_of_the_torque_that_models_lack(shape: str, noise: float) -> None:
+    rig = bare(shape)
+    quick, whole = observers(rig, noise)
+    torque = math.exp(quick.log_size) / rig.amplifier.limit
+    assert torque == pytest.approx(UNMODELLED, rel=0.1) and math.isinf(whole.horizon)   # an arm's has steps
+
+
+@pytest.mark.parametrize("shape", RIGS)
+def test_the_finer_an_encoder_the_quicker_a_torque_shows(shape: str) -> None:
+    rig = bare(shape)
+    found = [observers(rig.model_copy(update={"encoder": Encoder(counts_per_revolution=counts)}), 0.0)[0].horizon
+             for counts in (512.0, 4096.0, 32768.0)]
+    assert found[0] > found[1] > found[2] > 3.0 * rig.period
 
 
 OTHER = [("two-mass", {"motor.inertia": 0.1}), ("servo", {"motor.damping": 20.0}), ("axis", {"motor.gain": 30.0}),
