@@ -52,7 +52,7 @@ class Effort:
     """Of simulations in the search, and of those from which values are stated."""
 
 
-EFFORTS = {"quick": Effort(tried=6, finished=2, pairs=1, exchanged=1, rungs=3, content=True,
+EFFORTS = {"quick": Effort(tried=6, finished=2, pairs=1, exchanged=1, rungs=2, content=True,
                            accuracies=(COARSE, SEARCH)),
            "full": Effort(tried=12, finished=4, pairs=3, exchanged=3, rungs=3, content=False,
                           accuracies=(SEARCH, FINE))}
