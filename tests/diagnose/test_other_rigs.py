@@ -83,7 +83,7 @@ def test_a_bias_of_a_twentieth_of_a_count_is_named_beside_sticking_friction(seed
 
 
 def test_a_clean_two_mass_rig_is_not_accused_of_what_an_observers_gains_do_with_the_sensors_noise():
-    """Its errors 0.05 s ahead are smaller with a gap in the drive: the gap's gains feed less noise back."""
+    """Its errors by the quick horizon are smaller with a gap in the drive: the gap's gains feed less noise back."""
     case = make_case(1010416, [], nominal=TWO_MASS, count=None)
     assert not diagnose(Rig.model_validate(TWO_MASS), case.runs, effort="full").diagnosis.causes
 
