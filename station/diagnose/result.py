@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -201,6 +201,15 @@ class RunComparison:
     """As ``RunGain`` has it."""
     part: slice = field(default_factory=lambda: slice(None))
     """The rows that it is judged by: of a run that is alone one half."""
+    zero: float = 0.0
+    """Absolute angle of the encoder's count 0, rad, by the fit of all runs."""
+
+    def zeroed(self, angle_per_count: float) -> Run:
+        """The run with its angle counted from where the rig's effects count theirs, as all runs of the diagnosis."""
+        moved = self.zero / angle_per_count
+        return replace(self.run, encoder=self.run.encoder + moved,
+                       reference=self.run.reference + (0.0 if self.run.open_loop else moved),
+                       metadata=self.run.metadata.model_copy(update={"zero_id": "absolute"}))
 
     @property
     def rows(self) -> np.ndarray:

@@ -47,8 +47,7 @@ class Residual:
 def residuals(result: DiagnosisResult) -> list[Residual]:
     """Of every run that can be predicted, angle first, in the report's order.
 
-    Left out: the second half of a run that is alone; a run whose encoder zero is not the first run's where a cause
-    refers to the angle, for the fitted zeros are not kept; predictions that run away.
+    Left out: the second half of a run that is alone; predictions that run away.
     """
     kept = _runs(result)
     if not kept:
@@ -69,14 +68,9 @@ def residuals(result: DiagnosisResult) -> list[Residual]:
 
 
 def _runs(result: DiagnosisResult) -> Sequence[tuple[int, Run]]:
-    runs = [c.run for c in result.comparisons]
-    if [run.name.rpartition(" (")[2] for run in runs] == ["first half)", "second half)"]:
-        return [(1, runs[0])]
-    nominal = {(e.name, e.at) for e in result.rig.effects}
-    absolute = any(e.absolute is not None and (e.name, e.at) not in nominal for e in result.extended_rig.effects)
-    first = runs[0].metadata.zero_id if runs else None
-    return [(number, run) for number, run in enumerate(runs, start=1)
-            if number == 1 or not absolute or (first and run.metadata.zero_id == first)]
+    runs = [c.zeroed(result.rig.angle_per_count) for c in result.comparisons]
+    halves = [run.name.rpartition(" (")[2] for run in runs] == ["first half)", "second half)"]
+    return list(enumerate(runs[:1] if halves else runs, start=1))
 
 
 def _same_mesh(rig: Rig, like: Rig) -> Rig:

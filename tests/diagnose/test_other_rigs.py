@@ -98,13 +98,17 @@ def test_a_clean_rig_is_not_accused(shape, seed):
 @pytest.mark.parametrize(("seed", "hidden"), [(8040, []), (8042, [("load_friction", "motor")])])
 def test_a_pendulum_that_does_not_hang_at_the_encoders_zero_is_not_accused(seed, hidden):
     """Counts from where a run found it: by up to 0.03 rad they err about where its rig file says that it hangs."""
+    made, rig = make_case(seed, hidden, nominal=SERVO, count=4, band=SEVERITY).runs, Rig.model_validate(SERVO)
     runs = [replace(run, encoder=run.encoder + count, reference=run.reference + (0.0 if run.open_loop else count),
                     metadata=run.metadata.model_copy(update={"zero_id": None}))
-            for run, count in zip(make_case(seed, hidden, nominal=SERVO, count=4, band=SEVERITY).runs,
-                                  (13.0, -17.0, 22.0, -8.0), strict=True)]
-    diagnosis = diagnose(Rig.model_validate(SERVO), runs, effort="quick").diagnosis
-    assert [(cause.effect, cause.at) for cause in diagnosis.causes] == hidden
-    assert diagnosis.verdict == ("explained" if hidden else "nothing_missing")
+            for run, count in zip(made, (13.0, -17.0, 22.0, -8.0), strict=True)]
+    result = diagnose(rig, runs, effort="quick")
+    assert [(cause.effect, cause.at) for cause in result.diagnosis.causes] == hidden
+    assert result.diagnosis.verdict == ("explained" if hidden else "nothing_missing")
+    for row, run in zip(result.comparisons, made, strict=True):     # known to two counts, and drawn from there
+        zeroed = row.zeroed(rig.angle_per_count)
+        np.testing.assert_allclose(zeroed.encoder, run.encoder, atol=2.0)
+        np.testing.assert_allclose(zeroed.reference, run.reference, atol=0.0 if run.open_loop else 2.0)
 
 
 def test_friction_and_a_bias_that_all_runs_share_are_named_under_a_cascade():

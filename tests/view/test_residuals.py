@@ -23,15 +23,15 @@ LATE = RIG.with_effects([effect_class("input_delay")(at="amplifier", time=0.012)
 SIGMA = 2.0
 
 
-def runs(rig: Rig, zero_ids: tuple[str | None, ...] = ("bench", "bench")) -> list[Run]:
+def runs(rig: Rig) -> list[Run]:
     """Closed-loop sweeps with accelerometer noise."""
     t = np.arange(1500) / rig.sample_rate
     found = []
-    for k, zero_id in enumerate(zero_ids):
+    for k in range(2):
         since = np.maximum(t - 0.3, 0.0)
         reference = np.round((60.0 + 20.0 * k) * np.sin(2.0 * np.pi * (0.4 + 2.0 * since) * since))
         about = RunMetadata(rig=rig.name, controller={"kind": "p", "gain": 1.0}, test={"kind": "sweep"}, command_row=-1,
-                            zero_id=zero_id)
+                            zero_id="bench")
         asked = Run(f"sweep-{k}", t, reference, reference.copy(), 0.0 * t, 0.0 * t, about)
         seen = simulate(rig, asked)
         noise = np.random.default_rng(k).normal(0.0, SIGMA, len(t))
@@ -77,15 +77,19 @@ def test_a_lone_run_that_is_judged_by_halves_is_tested_once(late: list[Run]) -> 
     assert [r.number for r in found] == [1, 1] and len(found[0].after) == len(late[0].t)
 
 
-def test_runs_of_another_zero_are_left_out_where_an_effect_refers_to_the_angle() -> None:
+def test_every_run_is_predicted_from_where_the_effects_count_their_angle() -> None:
     cable = RIG.with_effects([effect_class("cable_spring")(at="base", stiffness=0.15, rest=0.2)])
-    given = runs(cable, ("bench", "other", "bench"))
-    found = result(RIG, cable, given)
-    assert [r.number for r in residuals(found) if r.channel == "encoder"] == [1, 3]
-    assert "Without it: run 2." in Page(report_html(found)).text
-    for nominal, extended in ((RIG, RIG), (cable, cable)):      # nothing of the angle is added to the rig file
-        told = residuals(result(nominal, extended, given))
-        assert [r.number for r in told if r.channel == "encoder"] == [1, 2, 3]
+    given, counts = runs(cable), 100.0
+    moved = [given[0], replace(given[1], encoder=given[1].encoder + counts,
+                               reference=given[1].reference + (0.0 if given[1].open_loop else counts))]
+    unknown = result(RIG, cable, moved)
+    known = replace(unknown, comparisons=[unknown.comparisons[0], replace(
+        unknown.comparisons[1], zero=-counts * RIG.angle_per_count)])
+    right, found, wrong = (residuals(r) for r in (result(RIG, cable, given), known, unknown))
+    assert [r.number for r in found] == [1, 1, 2, 2]
+    for one, other in zip(right, found, strict=True):
+        np.testing.assert_allclose(one.after, other.after, atol=1e-9)
+    assert wrong[2].after.std() > 1.2 * right[2].after.std()
 
 
 def test_rows_that_were_lost_do_not_count(late: list[Run]) -> None:
