@@ -35,7 +35,8 @@ UNMODELLED = 1.0 / 300.0
 """Size of a torque that a rig's model may lack, as a share of the amplifier's limit: a fiftieth of what its tests
 command, which is about a sixth of the limit (root mean square)."""
 QUICKEST, SLOWEST = 3.0, 0.5
-"""Shortest horizon, in samples, and longest, s, that it may ask for."""
+"""Shortest horizon, in samples, and longest, s, that it may ask for: an observer of an angle, a speed and a torque
+needs three samples to forget, and after half a second a prediction reads what a whole run reads."""
 ROUNDS = 40
 """Halvings of the logarithm of the torque's size, for the nominal rig."""
 SIZES = (1e-4, 1e7)
@@ -207,10 +208,14 @@ def _quick(linear: str, variance: float) -> float:
 
     def forgets(log_horizon: float) -> bool:
         horizon = math.exp(log_horizon)
-        system = _filter(model, horizon, _slowest(model, horizon))
-        return _excess(system, horizon, _gain(system, variance, log_size, _doublings(horizon, system.period))) < 0.0
+        return _forgets(_filter(model, horizon, _slowest(model, horizon)), variance, horizon, log_size)
 
     return math.exp(_crossing(forgets, math.log(QUICKEST * rig.period), math.log(SLOWEST)))
+
+
+def _forgets(system: _Filter, variance: float, horizon: float, log_size: float) -> bool:
+    """Whether a wrong angle is forgotten within the horizon where the torque has that size."""
+    return _excess(system, horizon, _gain(system, variance, log_size, _doublings(horizon, system.period))) < 0.0
 
 
 def _crossing(beyond: Callable[[float], bool], low: float, high: float) -> float:
@@ -234,11 +239,7 @@ def _observer(linear: str, variance: float, horizon: float) -> Observer:
         return Observer(horizon, variance)
     model = build(Rig.model_validate_json(linear), 0.1, 1e-3)
     slowest = _slowest(model, horizon)
-    system = _filter(model, horizon, slowest)
-
-    def forgets(log_size: float) -> bool:
-        return _excess(system, horizon, _gain(system, variance, log_size, _doublings(horizon, system.period))) < 0.0
-
+    forgets = functools.partial(_forgets, _filter(model, horizon, slowest), variance, horizon)
     log_size = _crossing(forgets, *(math.log(s) for s in SIZES))
     return Observer(horizon, variance, slowest.size, log_size).near(model)
 

@@ -125,9 +125,6 @@ class Parameters:
     coordinates: tuple[Coordinate, ...]
     zeros: int
     """Encoder zeros whose absolute angle is unknown."""
-    known_zeros: int
-    """Groups of runs before those: 1 where the first group's zero is what absolute angles are counted from, 0 where the
-    rig file's own effects say these."""
     held: tuple[Held, ...]
     gap_places: int
     mean: np.ndarray
@@ -184,6 +181,11 @@ class Parameters:
     def zero(self, x: np.ndarray, group: int) -> float:
         """Absolute angle (rad) of encoder count 0 in a group of runs that share it."""
         return float(x[self.parts["zeros"]][group - self.known_zeros]) if group in self.free_zeros else 0.0
+
+    @cached_property
+    def known_zeros(self) -> int:
+        """Groups of runs whose zero is known."""
+        return _known_zeros(self.rig)
 
     @property
     def free_zeros(self) -> range:
@@ -267,15 +269,21 @@ def parameters(data: Dataset, hypothesis: Hypothesis, centres: Sizes, fixed: Col
             else:
                 precision.append((WIDE if coordinate.log else PHASE if info.periodic else PLACE) ** -2)
             mean.append(coordinate.to_x(value))
-    stated = any(effect.absolute is not None for effect in rig.effects)
-    shifted = stated or any(cls.absolute is not None for cls, _ in hypothesis.effects)
-    zeros = max(data.zero_group) + stated if shifted else 0
+    known = _known_zeros(rig)
+    shifted = known == 0 or any(cls.absolute is not None for cls, _ in hypothesis.effects)
+    zeros = 1 + max(data.zero_group) - known if shifted else 0
     held = _held(rig)
     places = len(data.runs) if any(cls.stage is Stage.GAP for cls, _ in hypothesis.effects) else 0
     mean += [0.0] * (zeros + len(held) + places)
     precision += [PLACE**-2] * zeros + [1.0] * (len(held) + places)
-    return Parameters(rig, hypothesis, paths, np.linalg.cholesky(covariance), tuple(coordinates), zeros,
-                      int(not stated), held, places, np.array(mean), np.array(precision))
+    return Parameters(rig, hypothesis, paths, np.linalg.cholesky(covariance), tuple(coordinates), zeros, held, places,
+                      np.array(mean), np.array(precision))
+
+
+def _known_zeros(rig: Rig) -> int:
+    """1 where absolute angles are counted from the zero of the first group of runs, 0 where the rig's own effects say
+    where they are."""
+    return int(all(effect.absolute is None for effect in rig.effects))
 
 
 def _held(rig: Rig) -> tuple[Held, ...]:
