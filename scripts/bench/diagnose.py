@@ -18,7 +18,6 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -35,6 +34,15 @@ WANTED = {"full": (12.0, 45.0), "quick": (6.0, 12.0)}
 """Median and 95th percentile of the wall seconds, by effort."""
 SEEDS = 100
 """Most that are tried for a case."""
+TIMED = """
+import json, resource, subprocess, sys, time
+start = time.perf_counter()
+subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL, check=True)
+usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+print(json.dumps((time.perf_counter() - start, usage.ru_utime + usage.ru_stime, usage.ru_maxrss)))
+"""
+"""A small process between this one and the one that is timed: what a process begins with of its parent's memory counts
+as its own peak."""
 COUNTED = """
 import json, sys, threading, time
 from station.diagnose.diagnose import diagnose
@@ -60,15 +68,10 @@ print(json.dumps({"calls": calls, "predictions": spent, "cpu": time.process_time
 
 def timed(arguments: list[str]) -> tuple[float, float, float]:
     """Wall seconds, CPU seconds and peak memory (MB) of a fresh process."""
-    start = time.perf_counter()
-    child = subprocess.Popen(arguments, cwd=ROOT, stdout=subprocess.DEVNULL)
-    _, status, usage = os.wait4(child.pid, 0)
-    wall = time.perf_counter() - start
-    child.returncode = os.waitstatus_to_exitcode(status)
-    if child.returncode:
-        raise SystemExit(f"{' '.join(arguments)}: exit {child.returncode}")
-    peak = usage.ru_maxrss / (2**20 if sys.platform == "darwin" else 2**10)
-    return wall, usage.ru_utime + usage.ru_stime, peak
+    command = [sys.executable, "-c", TIMED, *arguments]
+    done = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True)
+    wall, spent, peak = json.loads(done.stdout)
+    return wall, spent, peak / (2**20 if sys.platform == "darwin" else 2**10)
 
 
 def cases_of(hidden: str, first: int, levels: Sequence[float], least: int, most: int) -> tuple[list[Case], int]:
