@@ -120,13 +120,20 @@ class Dataset:
     @cached_property
     def logs(self) -> Logs:
         """All runs' rows."""
-        return joined([m[0] for m in self.measured], [run.command for run in self.runs], self.logged, self.warm)
+        return self._joined(range(len(self.runs)))
 
     @cached_property
     def log(self) -> tuple[Logs, ...]:
         """Every run's rows by themselves."""
-        return tuple(joined([m[0]], [run.command], [logged], [warm]) for m, run, logged, warm in
-                     zip(self.measured, self.runs, self.logged, self.warm, strict=True))
+        return tuple(self._joined([r]) for r in range(len(self.runs)))
+
+    def _joined(self, some: Sequence[int]) -> Logs:
+        """Some runs' rows, one after another."""
+        first = np.concatenate([[0], np.cumsum([len(self.runs[r]) for r in some])]).astype(np.int64)
+        return Logs(first, np.concatenate([self.measured[r][0] for r in some]),
+                    np.concatenate([self.runs[r].command for r in some]).astype(float),
+                    np.concatenate([self.logged[r] for r in some]),
+                    np.array([self.warm[r] for r in some], dtype=np.int64))
 
     @cached_property
     def finder(self) -> Observer:
@@ -147,14 +154,6 @@ class Dataset:
     def counts(self) -> np.ndarray:
         """(runs, c) independent errors of the sensors."""
         return np.array([share.sum(axis=1) for share in self.share])
-
-
-def joined(encoder: Sequence[np.ndarray], command: Sequence[np.ndarray], logged: Sequence[np.ndarray],
-           warm: Sequence[int]) -> Logs:
-    """Several runs' rows, one after another."""
-    first = np.concatenate([[0], np.cumsum([len(e) for e in encoder])]).astype(np.int64)
-    return Logs(first, np.concatenate(encoder).astype(float), np.concatenate(command).astype(float),
-                np.concatenate(logged).astype(bool), np.array(warm, dtype=np.int64))
 
 
 def canonical_order(runs: Sequence[Run]) -> list[int]:
