@@ -180,8 +180,8 @@ class Predictor:
     def power(self) -> np.ndarray:
         """(runs, b) mean square of what was read, from where a run began, in units of the noise."""
         data = self.data
-        first = np.stack([data.start / data.rig.angle_per_count, data.offset], axis=1)
-        found = [np.sum(((m[: data.channels] - f[: data.channels, None]) / data.sigma[:, None]) ** 2 * s, axis=1)
+        first = np.stack([data.start / data.rig.angle_per_count, data.offset][: data.channels], axis=1)
+        found = [np.sum(((m - f[:, None]) / data.sigma[:, None]) ** 2 * s, axis=1)
                  for m, s, f in zip(data.measured, data.share, first, strict=True)]
         return (np.array(found) / np.maximum(data.counts, 1e-9))[:, self.channel]
 

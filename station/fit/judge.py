@@ -34,10 +34,11 @@ def judge(space: Parameters, unseen: np.ndarray, seen: np.ndarray, found: Fit, h
     deviation, names = np.sqrt(np.diag(covariance)), space.names()
     nominals = [*(space.rig.constants()[path] for path in space.paths), *(h.nominal for h in space.held)]
     determined = np.clip(1.0 - deviation**2 / np.diag(stated), 0.0, 1.0)
-    rows = [FittedConstant(name, value, value * math.exp(log),
-                           *sorted(value * math.exp(log + s * 1.96 * d) for s in (-1.0, 1.0)), share)
-            for name, value, log, d, share in zip(names, nominals, logs.tolist(), deviation.tolist(),
-                                                  determined.tolist(), strict=True)]
+    rows = []
+    for name, value, log, d, share in zip(names, nominals, logs.tolist(), deviation.tolist(), determined.tolist(),
+                                          strict=True):
+        low, high = sorted(value * math.exp(log + s * 1.96 * d) for s in (-1.0, 1.0))
+        rows.append(FittedConstant(name, value, value * math.exp(log), low, high, share))
     loose = [row.path for row in rows if row.determined < HALF]
     far = [name for name, size in zip(names, np.abs(logs) / np.sqrt(np.diag(stated)), strict=True) if size > FAR]
     torque = powers(space.paths, 0)
