@@ -70,8 +70,7 @@ class Hypothesis:
     @property
     def label(self) -> str:
         """For tables and progress."""
-        names = [f"{cls.name}@{at}" for cls, at in self.effects] + [f"parameter:{c}" for c in self.constants]
-        return " + ".join(names) or "nothing"
+        return " + ".join(f"{name}@{at}" if at else name for name, at in self.causes) or "nothing"
 
     @property
     def causes(self) -> list[Key]:
