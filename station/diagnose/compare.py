@@ -68,7 +68,7 @@ def _nearest(data: Dataset, model: Model, r: int) -> Simulation:
     tried = [make(data, model, r, data.own[r]) for make in (whole_run, settled_run)]
 
     def error(made: Simulation) -> float:
-        away = data.measured[r][: data.channels] - np.stack([getattr(made, c) for c in CHANNELS[: data.channels]])
+        away = data.measured[r] - np.stack([getattr(made, c) for c in CHANNELS[: data.channels]])
         away = np.nan_to_num(away, nan=FAR, posinf=FAR, neginf=-FAR)
         return float(np.sum(data.share[r] * (away / data.sigma[:, None]) ** 2))
     return min(tried, key=error)

@@ -279,7 +279,6 @@ def estimates(found: Fit, rougher: Fit | None = None, left_out: Sequence[Fit] = 
                                    state=found_states[i], spread=between)
     causes: dict[Key, dict[str, Estimate]] = {}
     for k, coordinate in enumerate(space.coordinates, space.parts["effects"].start):
-        cls, at = space.hypothesis.effects[coordinate.effect]
         seen = _between(found, np.eye(space.size)[k])
         per_step = abs(coordinate.to_value(found.x[k])) if coordinate.log else coordinate.scale
         rounding = math.sqrt(QUANTISATION) / per_step if coordinate.info.rounded else 0.0
@@ -289,7 +288,7 @@ def estimates(found: Fit, rougher: Fit | None = None, left_out: Sequence[Fit] = 
         ends = (coordinate.to_value(low), coordinate.to_value(value), coordinate.to_value(high))
         if coordinate.info.periodic and (high - low) * coordinate.scale >= 2.0 * math.pi:
             ends = (-math.pi, ends[1], math.pi)
-        causes.setdefault((cls.name, at), {})[coordinate.name] = Estimate(
+        causes.setdefault(coordinate.cause, {})[coordinate.name] = Estimate(
             value=float(ends[1]), low=float(ends[0]), high=float(ends[2]), unit=coordinate.info.unit,
             state=found_states[k],
             spread=None if coordinate.info.periodic else _told(seen, per_step))

@@ -321,15 +321,15 @@ def centred(predictor: Predictor, found: Fit, complete: bool) -> tuple[Parameter
     """
     space, values = found.space, found.space.values(found.x)
 
-    def strain(effect: int, guess: dict[str, float]) -> float:
+    def strain(cause: Key, guess: dict[str, float]) -> float:
         return sum(space.precision[i] * (coordinate.to_x(guess[coordinate.name]) - found.x[i]) ** 2
                    for i, coordinate in enumerate(space.coordinates, space.parts["effects"].start)
-                   if coordinate.effect == effect)
+                   if coordinate.cause == cause)
 
     rig, centres = predictor.data.rig, {}
-    for k, (cls, at) in enumerate(space.hypothesis.effects):
+    for cls, at in space.hypothesis.effects:
         smaller = cls.smaller(rig, at, values[cls.name, at]) if complete else []
-        centres[cls.name, at] = min([*cls.guesses(rig, at), *smaller], key=partial(strain, k))
+        centres[cls.name, at] = min([*cls.guesses(rig, at), *smaller], key=partial(strain, (cls.name, at)))
     moved = parameters(predictor.data, space.hypothesis, centres)
     return moved, moved.carried(space, found.x)
 

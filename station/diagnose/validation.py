@@ -74,7 +74,7 @@ def settled_run(data: Dataset, model: Model, run: int, own: np.ndarray, differ: 
             break
         columns = np.stack([((outputs(own + steps * (np.arange(4) == k)) - here) * scale).ravel() / steps[k]
                             for k in free])
-        error = ((data.measured[run][: data.channels] - here) * scale).ravel()
+        error = ((data.measured[run] - here) * scale).ravel()
         with np.errstate(over="ignore", invalid="ignore"):
             step = np.linalg.solve(columns @ columns.T + np.diag(prior), columns @ error - prior * (own - first)[free])
         if not np.all(np.isfinite(step)):

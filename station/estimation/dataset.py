@@ -66,7 +66,7 @@ class Dataset:
     logged: tuple[np.ndarray, ...]
     """Per run (n): whether a row was logged; lost ones are simulated through and neither count nor correct."""
     measured: tuple[np.ndarray, ...]
-    """Per run (2, n), counts; the second row is 0 where there is no accelerometer."""
+    """Per run (c, n), counts."""
     share: tuple[np.ndarray, ...]
     """Per run (c, n): independent errors per sample."""
     noise: tuple[float, float]
@@ -120,13 +120,20 @@ class Dataset:
     @cached_property
     def logs(self) -> Logs:
         """All runs' rows."""
-        return joined([m[0] for m in self.measured], [run.command for run in self.runs], self.logged, self.warm)
+        return self._joined(range(len(self.runs)))
 
     @cached_property
     def log(self) -> tuple[Logs, ...]:
         """Every run's rows by themselves."""
-        return tuple(joined([m[0]], [run.command], [logged], [warm]) for m, run, logged, warm in
-                     zip(self.measured, self.runs, self.logged, self.warm, strict=True))
+        return tuple(self._joined([r]) for r in range(len(self.runs)))
+
+    def _joined(self, some: Sequence[int]) -> Logs:
+        """Some runs' rows, one after another."""
+        first = np.concatenate([[0], np.cumsum([len(self.runs[r]) for r in some])]).astype(np.int64)
+        return Logs(first, np.concatenate([self.measured[r][0] for r in some]),
+                    np.concatenate([self.runs[r].command for r in some]).astype(float),
+                    np.concatenate([self.logged[r] for r in some]),
+                    np.array([self.warm[r] for r in some], dtype=np.int64))
 
     @cached_property
     def finder(self) -> Observer:
@@ -147,14 +154,6 @@ class Dataset:
     def counts(self) -> np.ndarray:
         """(runs, c) independent errors of the sensors."""
         return np.array([share.sum(axis=1) for share in self.share])
-
-
-def joined(encoder: Sequence[np.ndarray], command: Sequence[np.ndarray], logged: Sequence[np.ndarray],
-           warm: Sequence[int]) -> Logs:
-    """Several runs' rows, one after another."""
-    first = np.concatenate([[0], np.cumsum([len(e) for e in encoder])]).astype(np.int64)
-    return Logs(first, np.concatenate(encoder).astype(float), np.concatenate(command).astype(float),
-                np.concatenate(logged).astype(bool), np.array(warm, dtype=np.int64))
 
 
 def canonical_order(runs: Sequence[Run]) -> list[int]:
@@ -204,15 +203,15 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
     segment = tuple(first + np.arange(len(r.t)) * count // len(r.t)
                     for r, count, first in zip(runs, parts, np.cumsum(parts) - parts, strict=True))
     return Dataset(
-        meshed, tuple(runs), kept, logged,
-        tuple(np.stack([r.encoder, r.accel if has_accel else np.zeros_like(r.encoder)]).astype(float) for r in runs),
-        tuple(_shares(r, w, encoder)[: 1 + has_accel] for r, w in zip(runs, kept, strict=True)),
-        (encoder, accel), rows,
-        np.array([float(np.mean(r.encoder[rest_start(r)])) * rig.angle_per_count for r in runs]),
-        np.array([float(np.mean(r.accel[: len(r) if w else max(rest_rows(r), 1)])) if has_accel else 0.0
-                  for r, w in zip(runs, warm, strict=True)]), warm,
-        tuple(groups.index(z) for z in zero_ids), clock_evidence(tests), segment,
-        np.repeat(np.arange(len(runs)), parts))
+        rig=meshed, runs=tuple(runs), windows=kept, logged=logged,
+        measured=tuple(np.stack([r.encoder, r.accel] if has_accel else [r.encoder]).astype(float) for r in runs),
+        share=tuple(_shares(r, w, encoder)[: 1 + has_accel] for r, w in zip(runs, kept, strict=True)),
+        noise=(encoder, accel), noise_rows=rows,
+        start=np.array([float(np.mean(r.encoder[rest_start(r)])) * rig.angle_per_count for r in runs]),
+        offset=np.array([float(np.mean(r.accel[: len(r) if w else max(rest_rows(r), 1)])) if has_accel else 0.0
+                         for r, w in zip(runs, warm, strict=True)]),
+        warm=warm, zero_group=tuple(groups.index(z) for z in zero_ids), clock=clock_evidence(tests), segment=segment,
+        segment_run=np.repeat(np.arange(len(runs)), parts))
 
 
 def first_seconds(data: Dataset, seconds: float) -> Dataset:

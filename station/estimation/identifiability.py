@@ -10,8 +10,8 @@ C = (H + P^-1)^-1 is the sum of what the noise leaves, C H C, and of what the pr
 A value whose share is at most half is determined.  Where the prior holds it even with all others known (alone), or
 where it moves with no other (correlations below MOVES), these runs do not excite it.  Else the runs see it, but only
 together with others: it is traded off, and so is a value that follows another (correlation beyond FOLLOWS), however
-well both are known.  So all constants that carry the unit of
-torque are traded off with each other: their ratios are determined, their common factor is the rig file's.
+well both are known.  So all constants that carry the unit of torque are traded off with each other: their ratios are
+determined, their common factor is the rig file's.
 """
 
 from __future__ import annotations

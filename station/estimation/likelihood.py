@@ -26,9 +26,8 @@ say by how much one kind of block (a channel and a horizon) counts too much,
 
     T_b = max(1, tr(A^-1 J_b)/tr(A^-1 H_b)),   A = H/T + prior's precision,
 
-by which its N are divided; those of all kinds together say by how much these count the same twice, T
-
-(Varin, Reid and Firth, Statistica Sinica 21, 2011, section 2; Miller and Dunson, J. Am. Stat. Assoc. 114, 2019).
+by which its N are divided; those of all kinds together say by how much these count the same twice, T (Varin, Reid and
+Firth, Statistica Sinica 21, 2011, section 2; Miller and Dunson, J. Am. Stat. Assoc. 114, 2019).
 """
 
 from __future__ import annotations

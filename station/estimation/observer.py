@@ -75,16 +75,6 @@ class Observer:
         found = _design(self, _Linear(id(model.form), model))[1]
         return self if found is None else replace(self, log_size=found[0], slope=found[1])
 
-    def correction(self, model: Model) -> Correction:
-        """What one count of error changes in a rig's simulation, the same for all its runs; not finite where a rig has
-        no such observer.
-
-        An encoder that is late shows what was to be corrected then: it is carried forward to now, by the rig without
-        its effects, and so are the readings that have not been shown.  Or a late encoder would be a worse observer than
-        a late command that does the same.
-        """
-        return _correction(self, model)
-
 
 class Correction(NamedTuple):
     """What one count of the encoder's prediction error changes in a simulation."""
@@ -125,7 +115,14 @@ class _Filter(NamedTuple):
 
 
 @functools.lru_cache(maxsize=64)
-def _correction(observer: Observer, model: Model) -> Correction:
+def correction(observer: Observer, model: Model) -> Correction:
+    """What one count of error changes in a rig's simulation, the same for all its runs; not finite where a rig has no
+    such observer.
+
+    An encoder that is late shows what was to be corrected then: it is carried forward to now, by the rig without its
+    effects, and so are the readings that have not been shown.  Or a late encoder would be a worse observer than a late
+    command that does the same.
+    """
     at_once = _design(observer, _Linear(id(model.form), model))[0]
     plan, form, period, decay = model.plan, model.form, _period(model), at_once.decay
     if plan.encoder_delay == 0.0 or at_once.torque == 0.0:

@@ -25,16 +25,21 @@ WIDE = 1.5
 PLACE, PHASE = 2.0, 3.2
 """Prior sigmas of signed sizes, in units of a usual one, and of phases, rad (wider than a turn: none is preferred)."""
 
+EXACT = 1e-6
+"""Sigma of the logarithm of a constant that a rig file calls exact."""
+
 Key = tuple[str, str]
 """A cause: (effect, at), or ("parameter:TABLE.KEY", "")."""
 Causes = frozenset[Key]
+Sizes = dict[Key, dict[str, float]]
+"""By cause, the parameters' values."""
 
 
 @dataclass(frozen=True)
 class Coordinate:
     """One parameter of an effect as a fit moves it: value = exp(x), or origin + scale x."""
 
-    effect: int
+    cause: Key
     name: str
     info: ParameterInfo
     log: bool
@@ -65,8 +70,7 @@ class Hypothesis:
     @property
     def label(self) -> str:
         """For tables and progress."""
-        names = [f"{cls.name}@{at}" for cls, at in self.effects] + [f"parameter:{c}" for c in self.constants]
-        return " + ".join(names) or "nothing"
+        return " + ".join(f"{name}@{at}" if at else name for name, at in self.causes) or "nothing"
 
     @property
     def causes(self) -> list[Key]:
@@ -104,12 +108,6 @@ class Held:
         return self.nominal + moved if self.angle else self.nominal * math.exp(moved)
 
 
-EXACT = 1e-6
-"""Sigma of the logarithm of a constant that a rig file calls exact."""
-Sizes = dict[Key, dict[str, float]]
-"""By cause, the parameters' values."""
-
-
 @dataclass(frozen=True, eq=False)
 class Parameters:
     """Where the parameters of one hypothesis stand in a vector x, and their prior.
@@ -123,8 +121,11 @@ class Parameters:
     root: np.ndarray
     """(n, k) L, the logarithms of the constants over nominal per unit of x; k < n ``along`` some directions alone."""
     coordinates: tuple[Coordinate, ...]
+    known_zeros: int
+    """1 where absolute angles are counted from the zero of the first group of runs, 0 where the rig's own effects say
+    where they are."""
     zeros: int
-    """Encoder zeros whose absolute angle is unknown."""
+    """Encoder zeros whose absolute angle is unknown: of the groups of runs after the known one, or of none."""
     held: tuple[Held, ...]
     gap_places: int
     mean: np.ndarray
@@ -160,8 +161,7 @@ class Parameters:
         """The effects' parameters, by cause."""
         found: Sizes = {(cls.name, at): {} for cls, at in self.hypothesis.effects}
         for coordinate, value in zip(self.coordinates, x[self.parts["effects"]], strict=True):
-            cls, at = self.hypothesis.effects[coordinate.effect]
-            found[cls.name, at][coordinate.name] = coordinate.to_value(value)
+            found[coordinate.cause][coordinate.name] = coordinate.to_value(value)
         return found
 
     def rig_at(self, x: np.ndarray) -> Rig:
@@ -181,11 +181,6 @@ class Parameters:
     def zero(self, x: np.ndarray, group: int) -> float:
         """Absolute angle (rad) of encoder count 0 in a group of runs that share it."""
         return float(x[self.parts["zeros"]][group - self.known_zeros]) if group in self.free_zeros else 0.0
-
-    @cached_property
-    def known_zeros(self) -> int:
-        """Groups of runs whose zero is known."""
-        return _known_zeros(self.rig)
 
     @property
     def free_zeros(self) -> range:
@@ -218,9 +213,8 @@ class Parameters:
         out[self.parts["constants"]] = np.linalg.solve(self.root, [logs.get(path, 0.0) for path in self.paths])
         sizes = {**other.values(x), **(start or {})}
         for i, coordinate in enumerate(self.coordinates, self.parts["effects"].start):
-            cls, at = self.hypothesis.effects[coordinate.effect]
-            if coordinate.name in sizes.get((cls.name, at), {}):
-                out[i] = coordinate.to_x(sizes[cls.name, at][coordinate.name])
+            if coordinate.name in sizes.get(coordinate.cause, {}):
+                out[i] = coordinate.to_x(sizes[coordinate.cause][coordinate.name])
         for part in ("zeros", "held", "places"):
             here, there = self.parts[part], other.parts[part]
             if here.stop - here.start == there.stop - there.start:
@@ -229,9 +223,8 @@ class Parameters:
 
     def names(self) -> list[str]:
         """Names in the order of x: ``motor.gain``, ``coulomb_friction@motor.torque``."""
-        effects = self.hypothesis.effects
         return [*self.paths,
-                *(f"{cls.name}@{at}.{c.name}" for c in self.coordinates for cls, at in [effects[c.effect]]),
+                *(f"{'@'.join(c.cause)}.{c.name}" for c in self.coordinates),
                 *(f"encoder zero {group + 1}" for group in self.free_zeros),
                 *(f"{self.rig.effects[h.effect].name}.{h.name}" for h in self.held),
                 *(f"place in the gap, run {k + 1}" for k in range(self.gap_places))]
@@ -256,11 +249,11 @@ def parameters(data: Dataset, hypothesis: Hypothesis, centres: Sizes, fixed: Col
         covariance[i, i] += WIDE**2
     mean, precision = [0.0] * len(paths), [1.0] * len(paths)
     coordinates = []
-    for k, (cls, at) in enumerate(hypothesis.effects):
+    for cls, at in hypothesis.effects:
         usual = cls.guesses(rig, at)
         for name, info in cls.parameters().items():
             value = centres[cls.name, at][name]
-            coordinate = _coordinate(k, name, info, value, [g[name] for g in usual],
+            coordinate = _coordinate((cls.name, at), name, info, value, [g[name] for g in usual],
                                      min(info.high, cls.largest(rig, at).get(name, math.inf)))
             coordinates.append(coordinate)
             if cls.stage is Stage.CLOCK and data.clock is not None:
@@ -269,21 +262,15 @@ def parameters(data: Dataset, hypothesis: Hypothesis, centres: Sizes, fixed: Col
             else:
                 precision.append((WIDE if coordinate.log else PHASE if info.periodic else PLACE) ** -2)
             mean.append(coordinate.to_x(value))
-    known = _known_zeros(rig)
+    known = int(all(effect.absolute is None for effect in rig.effects))
     shifted = known == 0 or any(cls.absolute is not None for cls, _ in hypothesis.effects)
     zeros = 1 + max(data.zero_group) - known if shifted else 0
     held = _held(rig)
     places = len(data.runs) if any(cls.stage is Stage.GAP for cls, _ in hypothesis.effects) else 0
     mean += [0.0] * (zeros + len(held) + places)
     precision += [PLACE**-2] * zeros + [1.0] * (len(held) + places)
-    return Parameters(rig, hypothesis, paths, np.linalg.cholesky(covariance), tuple(coordinates), zeros, held, places,
-                      np.array(mean), np.array(precision))
-
-
-def _known_zeros(rig: Rig) -> int:
-    """1 where absolute angles are counted from the zero of the first group of runs, 0 where the rig's own effects say
-    where they are."""
-    return int(all(effect.absolute is None for effect in rig.effects))
+    return Parameters(rig, hypothesis, paths, np.linalg.cholesky(covariance), tuple(coordinates), known, zeros, held,
+                      places, np.array(mean), np.array(precision))
 
 
 def _held(rig: Rig) -> tuple[Held, ...]:
@@ -294,7 +281,7 @@ def _held(rig: Rig) -> tuple[Held, ...]:
                  and (value != 0.0 or info.periodic))
 
 
-def _coordinate(effect: int, name: str, info: ParameterInfo, value: float, usual: Sequence[float],
+def _coordinate(cause: Key, name: str, info: ParameterInfo, value: float, usual: Sequence[float],
                 high: float) -> Coordinate:
     """How a fit moves one parameter, started from ``value``.
 
@@ -307,7 +294,7 @@ def _coordinate(effect: int, name: str, info: ParameterInfo, value: float, usual
         origin = neutral or 0.0
         least = min((abs(u - origin) for u in usual if u != origin), default=1.0)
         scale = max(abs(value - origin), least if neutral is None else 1e-6 * least)
-    return Coordinate(effect, name, info, log, scale, high, origin)
+    return Coordinate(cause, name, info, log, scale, high, origin)
 
 
 def _ordered(values: dict[str, float]) -> dict[str, float]:

@@ -13,7 +13,6 @@ import json
 import os
 import pickle
 import signal
-import struct
 import subprocess
 import sys
 import threading
@@ -34,8 +33,8 @@ ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THRE
 BEGIN = ("import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
          "from station.estimation.pool import serve; serve(sys.argv[2])")
 """What such a process is begun with: modules come from the same folders as here, and from no others."""
-LENGTH = struct.Struct("<Q")
-"""Bytes of a message, before it."""
+GONE = (OSError, EOFError, ValueError, pickle.UnpicklingError)
+"""What reading or writing raises where the other process has ended, perhaps amid a message."""
 
 
 class Pool:
@@ -134,8 +133,8 @@ class _Helper:
 
     def _await(self) -> None:
         """Until it has imported what it needs nothing is asked: it would keep others waiting."""
-        with suppress(OSError, EOFError, ValueError):
-            _read(self.answers)
+        with suppress(*GONE):
+            pickle.load(self.answers)
             self.ready = True
 
     def ask(self, function: bytes | None, part: object) -> tuple[Any] | None:
@@ -145,8 +144,8 @@ class _Helper:
             return None
         try:
             _write(self.asked, pickle.dumps((function, sent)))
-            found: tuple[Any] | None = pickle.loads(_read(self.answers))
-        except (OSError, EOFError, ValueError):     # it is gone
+            found: tuple[Any] | None = pickle.load(self.answers)
+        except GONE:
             self.end()
             return None
         return found
@@ -213,11 +212,11 @@ def serve(prepare: str) -> None:
     os.dup2(2, 1)       # what is printed is no answer
     if prepare:
         importlib.import_module(prepare)
-    with threadpool_limits(1), suppress(EOFError, OSError):
-        _write(answers, b"")
+    with threadpool_limits(1), suppress(*GONE):
+        _write(answers, pickle.dumps("ready"))
         function: Callable[[Any], Any] | None = None
         while True:
-            body, part = pickle.loads(_read(asked))
+            body, part = pickle.load(asked)
             try:
                 function = function if body is None else pickle.loads(body)
                 assert function is not None
@@ -228,15 +227,5 @@ def serve(prepare: str) -> None:
 
 
 def _write(line: IO[bytes], message: bytes) -> None:
-    line.write(LENGTH.pack(len(message)) + message)
+    line.write(message)
     line.flush()
-
-
-def _read(line: IO[bytes]) -> bytes:
-    """EOFError: nobody is there any more."""
-    def exactly(count: int) -> bytes:
-        found = line.read(count)
-        if len(found) < count:
-            raise EOFError
-        return found
-    return exactly(LENGTH.unpack(exactly(LENGTH.size))[0])

@@ -19,7 +19,7 @@ import numpy as np
 
 from station.estimation.dataset import Dataset, Logs
 from station.estimation.likelihood import blocks_independent
-from station.estimation.observer import Observer
+from station.estimation.observer import Observer, correction
 from station.estimation.parameters import Parameters
 from station.estimation.pool import Pool
 from station.model.compiled import kernel
@@ -96,17 +96,17 @@ def _restart(fresh, run, state):
     state.clock[:] = 0
 
 
-def _predicted(model: Model, used: Sequence[Observer], logs: Logs, starts: Sequence[State], own: np.ndarray,
-               accel_at: np.ndarray, blocks: int, disturbance: np.ndarray) -> np.ndarray:
-    """Runs by h observers, the last of ``used`` the one that finds their states: ``blocks`` channels of each, one run
-    after another, counts, unrounded.
+def _predicted(data: Dataset, model: Model, observers: Sequence[Observer], logs: Logs, starts: Sequence[State],
+               own: np.ndarray, accel_at: np.ndarray, blocks: int, disturbance: np.ndarray) -> np.ndarray:
+    """Runs of a dataset by h observers: ``blocks`` channels of each, one run after another, counts, unrounded.
 
     ``starts``: every run's state at its first row; the first is used up.  ``own`` (runs, 4) as ``Dataset.own`` has it;
     ``accel_at`` (h): the block that holds the accelerometer as a horizon predicts it, -1 for none.
     """
     out: np.ndarray = np.empty(blocks * logs.command.size)
+    used = [*observers, data.finder if logs.warm.any() else observers[0]]
     fresh = tuple(np.array(rows) for rows in zip(*((s.z, s.effects, s.last) for s in starts), strict=True))
-    states, torques, decays, angles = zip(*(o.correction(model) for o in used), strict=True)
+    states, torques, decays, angles = zip(*(correction(o, model) for o in used), strict=True)
     late = np.zeros((len(used), max(a.size for a in angles)))
     for row, angle in zip(late, angles, strict=True):
         row[: angle.size] = angle
@@ -116,30 +116,25 @@ def _predicted(model: Model, used: Sequence[Observer], logs: Logs, starts: Seque
     return out
 
 
-def predict(model: Model, observers: Sequence[Observer], logs: Logs, own: np.ndarray, *, zero: float = 0.0,
-            gap_place: float = 0.0, equilibrium: bool = False, finder: Observer | None = None,
-            ) -> tuple[np.ndarray, np.ndarray]:
-    """One run by h observers: predicted channels (h, 2, n), counts, unrounded, and the observers' torque (h, n), counts
-    of command.
-
-    ``own`` (4) as ``Dataset.own`` has it.  Where a row was not logged, nothing was read, and the observer runs on with
-    its torque.  ``finder``: the observer that finds the state of a run that begins in motion.
-    """
-    count, n = len(observers), logs.command.size
-    torque = np.zeros(count * n)
-    start = initial_state(model, angle_that_reads(model.rig, float(own[0]), zero), zero, equilibrium=equilibrium,
-                          gap_place=gap_place)
-    out = _predicted(model, [*observers, finder or observers[0]], logs, [start], own[None], np.arange(count, 2 * count),
-                     2 * count, torque)
-    return out.reshape(2, count, n).transpose(1, 0, 2), torque.reshape(count, n)
+def _start(data: Dataset, model: Model, run: int, angle: float, zero: float, place: float) -> State:
+    """A run's state at its first row, where the encoder reads ``angle`` (rad)."""
+    return initial_state(model, angle_that_reads(model.rig, angle, zero), zero, gap_place=place,
+                         equilibrium=data.runs[run].metadata.start == "equilibrium")
 
 
 def predict_run(data: Dataset, model: Model, observers: Sequence[Observer], run: int, own: np.ndarray, *,
                 zero: float = 0.0, place: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """As ``predict``, one run of a dataset."""
-    return predict(model, observers, data.log[run], own, zero=zero, gap_place=place,
-                   equilibrium=data.runs[run].metadata.start == "equilibrium",
-                   finder=data.finder if data.warm[run] else None)
+    """One run by h observers: predicted channels (h, 2, n), counts, unrounded, and the observers' torque (h, n), counts
+    of command.
+
+    ``own`` (4) as ``Dataset.own`` has it.  Where a row was not logged, nothing was read, and the observer runs on with
+    its torque.
+    """
+    count, logs = len(observers), data.log[run]
+    torque = np.zeros(count * logs.command.size)
+    start = _start(data, model, run, float(own[0]), zero, place)
+    out = _predicted(data, model, observers, logs, [start], own[None], np.arange(count, 2 * count), 2 * count, torque)
+    return out.reshape(2, count, -1).transpose(1, 0, 2), torque.reshape(count, -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,8 +180,8 @@ class Predictor:
     def power(self) -> np.ndarray:
         """(runs, b) mean square of what was read, from where a run began, in units of the noise."""
         data = self.data
-        first = np.stack([data.start / data.rig.angle_per_count, data.offset], axis=1)
-        found = [np.sum(((m[: data.channels] - f[: data.channels, None]) / data.sigma[:, None]) ** 2 * s, axis=1)
+        first = np.stack([data.start / data.rig.angle_per_count, data.offset][: data.channels], axis=1)
+        found = [np.sum(((m - f[:, None]) / data.sigma[:, None]) ** 2 * s, axis=1)
                  for m, s, f in zip(data.measured, data.share, first, strict=True)]
         return (np.array(found) / np.maximum(data.counts, 1e-9))[:, self.channel]
 
@@ -218,14 +213,11 @@ class Predictor:
         if not count:
             return [np.zeros((0, len(data.runs[r]))) for r in runs]
         logs = data.logs if len(runs) == len(data.runs) else data.log[runs[0]]
-        zeros = [space.zero(x, data.zero_group[r]) for r in runs]
-        starts = [initial_state(model, angle_that_reads(model.rig, angle, zero), zero, gap_place=space.place(x, r),
-                                equilibrium=data.runs[r].metadata.start == "equilibrium")
-                  for r, angle, zero in zip(runs, own[:, 0].tolist(), zeros, strict=True)]
+        starts = [_start(data, model, r, angle, space.zero(x, data.zero_group[r]), space.place(x, r))
+                  for r, angle in zip(runs, own[:, 0].tolist(), strict=True)]
         blocks, accel_at = len(self.channel), np.full(count, -1)
         accel_at[-1] = count if blocks > count else -1
-        finder = data.finder if any(data.warm) else self.observers[0]
-        out = _predicted(model, [*self.observers, finder], logs, starts, own, accel_at, blocks, np.zeros(0))
+        out = _predicted(data, model, self.observers, logs, starts, own, accel_at, blocks, np.zeros(0))
         return [rows.reshape(blocks, -1) for rows in np.split(out, blocks * logs.first[1:-1])]
 
     def run(self, model: Model, space: Parameters, x: np.ndarray, run: int, own: np.ndarray) -> np.ndarray:

@@ -10,8 +10,8 @@ optimum, u the parameter's direction, B = sum N_r + P with P the prior's precisi
 lambda and Q M's eigenvalues and vectors, w = Q' v: the shared parameters integrated out (restricted likelihood,
 Harville, J. Am. Stat. Assoc. 72, 1977).  What the shared value is known by is then (B - C (D + I/tau^2)^-1 C')^-1,
 D = diag(u' N_r u): runs that differ say less of it than their rows (DerSimonian and Laird, Controlled Clinical Trials
-7, 1986).  One linear step from the shared fit: sizes that enter by their logarithm give
-the spread as a share of the value.
+7, 1986).  One linear step from the shared fit: sizes that enter by their logarithm give the spread as a share of the
+value.
 """
 
 from __future__ import annotations

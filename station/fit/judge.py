@@ -33,11 +33,12 @@ def judge(space: Parameters, unseen: np.ndarray, seen: np.ndarray, found: Fit, h
     covariance, stated, logs = root @ posterior @ root.T, root @ root.T, root @ whole @ found.x
     deviation, names = np.sqrt(np.diag(covariance)), space.names()
     nominals = [*(space.rig.constants()[path] for path in space.paths), *(h.nominal for h in space.held)]
-    ends = [sorted(value * math.exp(log + s * 1.96 * d) for s in (-1.0, 1.0))
-            for value, log, d in zip(nominals, logs.tolist(), deviation.tolist(), strict=True)]
-    rows = [FittedConstant(name, value, value * math.exp(log), low, high, min(max(1.0 - share, 0.0), 1.0))
-            for name, value, log, (low, high), share in zip(names, nominals, logs.tolist(), ends,
-                                                            (deviation**2 / np.diag(stated)).tolist(), strict=True)]
+    determined = np.clip(1.0 - deviation**2 / np.diag(stated), 0.0, 1.0)
+    rows = []
+    for name, value, log, d, share in zip(names, nominals, logs.tolist(), deviation.tolist(), determined.tolist(),
+                                          strict=True):
+        low, high = sorted(value * math.exp(log + s * 1.96 * d) for s in (-1.0, 1.0))
+        rows.append(FittedConstant(name, value, value * math.exp(log), low, high, share))
     loose = [row.path for row in rows if row.determined < HALF]
     far = [name for name, size in zip(names, np.abs(logs) / np.sqrt(np.diag(stated)), strict=True) if size > FAR]
     torque = powers(space.paths, 0)

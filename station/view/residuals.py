@@ -79,5 +79,5 @@ def _same_mesh(rig: Rig, like: Rig) -> Rig:
 
 
 def _errors(data: Dataset, model: Model, observer: Observer, r: int) -> np.ndarray:
-    """(2, n) measured less predicted, counts."""
-    return data.measured[r] - predict_run(data, model, (observer,), r, data.own[r])[0][0]
+    """(c, n) measured less predicted, counts."""
+    return data.measured[r] - predict_run(data, model, (observer,), r, data.own[r])[0][0, : data.channels]

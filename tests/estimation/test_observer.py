@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from station.estimation.observer import UNMODELLED, Observer, observers
+from station.estimation.observer import UNMODELLED, Observer, correction, observers
 from station.model.effects import effect_class
 from station.model.simulate import build, initial_state
 from station.model.stepper import advance, begin, sense
@@ -29,7 +29,7 @@ def errors_left(rig: Rig, horizon: float, noise: float, nominal: Rig | None = No
     (observer,) = observers(nominal or rig, noise, (horizon,))
     model = build(rig, 0.1, 1e-3)
     wrong, right = (initial_state(model, angle, 0.0) for angle in (1e-3, 0.0))
-    (gain, at_motor, decay, _), work = observer.correction(model), np.zeros((4, max(model.plan.port_joint.size, 1)))
+    (gain, at_motor, decay, _), work = correction(observer, model), np.zeros((4, max(model.plan.port_joint.size, 1)))
     begin(model.plan, wrong)
     begin(model.plan, right)
     torque, found = 0.0, []
@@ -92,7 +92,7 @@ def test_another_mesh_is_corrected_alike(elements: int) -> None:
     (observer,) = observers(rig, 0.1, (0.05,))
     one, other = (build(r, 0.0, 1e-3) for r in (rig, rig.with_elements(elements)))
     seen = [[m.assembly.motor, m.assembly.base, m.assembly.root] for m in (one, other)]
-    moved = [(m.form.basis @ observer.correction(m).state)[at] for m, at in zip((one, other), seen, strict=True)]
+    moved = [(m.form.basis @ correction(observer, m).state)[at] for m, at in zip((one, other), seen, strict=True)]
     assert moved[1] == pytest.approx(moved[0], rel=1e-3)
 
 
@@ -100,19 +100,19 @@ def test_a_rig_that_has_no_observer_is_not_finite() -> None:
     model = build(bare("axis"), 0.1, 1e-3)
     broken = replace(model, form=replace(model.form, basis=np.full_like(model.form.basis, np.nan)),
                      plan=model.plan._replace(base_angle=np.full_like(model.plan.base_angle, np.nan)))
-    assert not np.isfinite(Observer(0.05, blocks=1).correction(broken).torque)
+    assert not np.isfinite(correction(Observer(0.05, blocks=1), broken).torque)
 
 
 def test_an_infinite_horizon_corrects_nothing() -> None:
     (observer,) = observers(bare("sflr"), 0.1, (math.inf,))
-    found = observer.correction(build(bare("sflr")))
+    found = correction(observer, build(bare("sflr")))
     assert not found.state.any() and found.torque == 0.0
 
 
 @pytest.mark.parametrize("shape", RIGS)
 def test_a_shorter_horizon_corrects_more(shape: str) -> None:
     model = build(bare(shape))
-    quick, slow, whole = (o.correction(model) for o in observers(bare(shape), 0.1, (0.05, 0.5, math.inf)))
+    quick, slow, whole = (correction(o, model) for o in observers(bare(shape), 0.1, (0.05, 0.5, math.inf)))
     assert quick.torque > slow.torque > whole.torque == 0.0
     assert quick.decay < slow.decay < 1.0
 
@@ -122,7 +122,7 @@ def test_effects_of_the_rig_do_not_change_its_observers() -> None:
     rigs = bare("sflr"), bare("sflr").with_effects([friction])
     for one, other in zip(*(observers(rig, 0.1, HORIZONS) for rig in rigs), strict=True):
         assert one == other
-        first, second = (one.correction(build(rig, 0.0)) for rig in rigs)
+        first, second = (correction(one, build(rig, 0.0)) for rig in rigs)
         assert second.state == pytest.approx(first.state, rel=1e-9) and second.torque == pytest.approx(first.torque)
 
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from station.estimation.dataset import Logs, dataset, joined
-from station.estimation.observer import observers
-from station.estimation.prediction import SEARCH, predict, predict_run
+from station.estimation.dataset import dataset
+from station.estimation.observer import Observer, observers
+from station.estimation.prediction import SEARCH, predict_run
 from station.model.effects import effect_class
-from station.model.simulate import build, simulate_model
+from station.model.simulate import Model, build, simulate_model
 from station.model.units import powers
 from station.rig import Rig, load_rig
 from station.runs.run import Run
@@ -21,8 +22,9 @@ from tests.estimation.made import AXIS, run_of
 from tests.truth import SFLR, innovations
 
 
-def log_of(run: Run, warm: int = 0) -> Logs:
-    return joined([run.encoder], [run.command], [run.logged], [warm])
+def predict(model: Model, watched: Sequence[Observer], run: Run, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of a run that begins at rest."""
+    return predict_run(replace(dataset(model.rig, [run]), warm=(0,)), model, watched, 0, own)
 
 
 def begun(angle: float, offset: float = 0.0) -> np.ndarray:
@@ -39,7 +41,7 @@ def test_without_corrections_a_prediction_is_the_simulation_driven_by_the_comman
     made = simulate_model(model, type(run)("x", run.t, run.command, run.command, run.encoder, None, driven),
                           rounding=False, start_angle=0.02)
     watched = observers(AXIS, 0.1, (math.inf,))
-    found, torque = predict(model, watched, log_of(run), begun(0.02))
+    found, torque = predict(model, watched, run, begun(0.02))
     np.testing.assert_allclose(found[0, 0], made.encoder, atol=1e-9)
     assert not torque.any()
 
@@ -47,7 +49,7 @@ def test_without_corrections_a_prediction_is_the_simulation_driven_by_the_comman
 def test_a_wrong_gain_matters_less_the_shorter_a_prediction_looks_ahead() -> None:
     run = run_of(AXIS, 60.0, "open", "x")
     wrong = build(AXIS.with_constants({"motor.gain": 1.2 * AXIS.motor.gain}), *SEARCH[:2])
-    found, _ = predict(wrong, observers(AXIS, 0.1, (0.02, 0.1, 0.5, math.inf)), log_of(run), begun(0.0))
+    found, _ = predict(wrong, observers(AXIS, 0.1, (0.02, 0.1, 0.5, math.inf)), run, begun(0.0))
     errors = np.sqrt(np.mean((run.encoder - found[:, 0]) ** 2, axis=1)).tolist()
     assert errors == sorted(errors) and errors[0] < 0.2 * errors[-1]
 
@@ -55,7 +57,7 @@ def test_a_wrong_gain_matters_less_the_shorter_a_prediction_looks_ahead() -> Non
 def test_a_right_model_misses_no_more_than_rounding_at_any_horizon() -> None:
     run = run_of(AXIS, 60.0, "p2", "x")
     model = build(AXIS, *SEARCH[:2])
-    found, _ = predict(model, observers(AXIS, 0.0), log_of(run), begun(0.0))
+    found, _ = predict(model, observers(AXIS, 0.0), run, begun(0.0))
     assert np.abs(run.encoder - found[:, 0]).max() < 1.0
     assert np.std(run.encoder - found[:, 0], axis=1).max() < 0.4
 
@@ -72,7 +74,7 @@ def test_a_rig_in_other_units_predicts_the_same(rig: Rig, unit: str) -> None:
     other = rig.with_constants(scaled).with_effects(clock)
     run = run_of(rig.with_constants({"motor.gain": 1.2 * rig.motor.gain}), 60.0, "p2", "x")
     watched = observers(rig, 0.1)
-    (plain, torque), (found, again) = (predict(build(r, 0.0), watched, log_of(run), begun(0.0)) for r in (rig, other))
+    (plain, torque), (found, again) = (predict(build(r, 0.0), watched, run, begun(0.0)) for r in (rig, other))
     assert np.abs(torque[0]).max() > 1.0
     np.testing.assert_allclose(again, torque, atol=1e-6)
     np.testing.assert_allclose(found, plain, atol=1e-6)
@@ -85,9 +87,9 @@ def test_an_encoder_of_another_slope_is_watched_by_as_quick_an_observer(phase: f
     watched, run = observers(AXIS, 0.1), run_of(late, 60.0, "p2", "x")
     off = effect_class("encoder_eccentricity")(at="encoder", amplitude=0.1 / AXIS.angle_per_count, phase=phase)
     read = run.encoder + off.amplitude * np.sin(run.encoder * AXIS.angle_per_count + phase)
-    _, torque = predict(build(AXIS.with_effects([off]), 0.0), watched, log_of(replace(run, encoder=read)),
+    _, torque = predict(build(AXIS.with_effects([off]), 0.0), watched, replace(run, encoder=read),
                         begun(float(read[0] * AXIS.angle_per_count)))
-    _, missing = predict(build(AXIS, 0.0), watched, log_of(run), begun(float(run.encoder[0] * AXIS.angle_per_count)))
+    _, missing = predict(build(AXIS, 0.0), watched, run, begun(float(run.encoder[0] * AXIS.angle_per_count)))
     assert np.abs(missing[0]).max() > 1.0
     np.testing.assert_allclose(torque[0], missing[0], atol=0.02 * np.abs(missing[0]).max())
 
@@ -100,7 +102,7 @@ def test_a_late_encoder_and_a_late_command_predict_the_same(late: float) -> None
     watched, run = observers(AXIS, 0.1), run_of(other, 60.0, "p2", "x")
     models = [build(AXIS.with_effects([effect_class(name)(at=at, time=late * AXIS.period)]), 0.0, 1e-3)
               for name, at in delays.items()]
-    (encoder, _), (command, _) = (predict(model, watched, log_of(run), begun(0.0)) for model in models)
+    (encoder, _), (command, _) = (predict(model, watched, run, begun(0.0)) for model in models)
     assert np.abs(encoder[0, 0] - encoder[1, 0]).max() > 1.0
     np.testing.assert_allclose(encoder[:, 0], command[:, 0], atol=1e-3)
 
@@ -113,7 +115,7 @@ def test_of_a_run_that_begins_in_motion_the_state_is_found_before_anything_count
     model = build(data.rig, *SEARCH[:2])
     watched = observers(data.rig, data.noise[0], (math.inf,))
     found, torque = predict_run(data, model, watched, 0, data.own[0])
-    rest = predict(model, watched, log_of(moving), data.own[0])[0]
+    rest = predict(model, watched, moving, data.own[0])[0]
     rows = slice(data.warm[0], None)
     error, at_rest = (np.sqrt(np.mean((moving.encoder[rows] - y[0, 0, rows]) ** 2)) for y in (found, rest))
     assert data.warm[0] > 0 and not torque[0, rows].any()
@@ -124,7 +126,7 @@ def test_a_known_torque_is_found_by_the_observer() -> None:
     """A constant torque at the motor, unknown to the model, is what the slow observer ends with, in counts."""
     bias = effect_class("command_bias")(at="amplifier", offset=6.0)
     run = run_of(AXIS.with_effects([bias]), 60.0, "p2", "x")
-    _, torque = predict(build(AXIS, *SEARCH[:2]), observers(AXIS, 0.0, (0.05,)), log_of(run), begun(0.0))
+    _, torque = predict(build(AXIS, *SEARCH[:2]), observers(AXIS, 0.0, (0.05,)), run, begun(0.0))
     assert 0.0 < torque[0, len(run) // 4:].mean() < 6.5
 
 
@@ -132,6 +134,6 @@ def test_without_disturbances_the_plain_filter_of_a_perfect_arm_predicts_the_sam
     """The independent dense filter with next to no disturbance is the simulation; it corrects the start alone."""
     rig = load_rig("sflr").with_elements(16)
     run = run_of(rig, 60.0, "open", "x", 0.8)
-    found, _ = predict(build(rig, 0.0, 2e-4), observers(rig, 0.0, (math.inf,)), log_of(run), begun(0.0))
+    found, _ = predict(build(rig, 0.0, 2e-4), observers(rig, 0.0, (math.inf,)), run, begun(0.0))
     plain = innovations.innovations(SFLR, run.command, run.encoder[:, None], start_spread=1e-9)
     np.testing.assert_allclose(found[0, 0], run.encoder - plain.errors[:, 0], atol=0.05)
