@@ -54,7 +54,7 @@ def fit(rig: Rig, runs: Sequence[Run], hold: Sequence[str] | None = None, *, dom
     variances = data.rig.log_covariance(constants).diagonal()
     fixed = {path for path, variance in zip(constants, variances, strict=True) if path in held or variance == 0.0}
     space = parameters(data, Hypothesis(), {}, fixed)
-    if not space.size:
+    if not space.paths and not space.held:
         raise UsageError(f"{rig.name}: every constant is held or exact")
     hidden = unseen(space)
     seen = np.linalg.qr(hidden, mode="complete")[0][:, hidden.shape[1]:]

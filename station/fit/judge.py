@@ -13,6 +13,8 @@ from station.estimation.parameters import Parameters
 from station.fit.result import FitResult, FittedConstant, FlatDirection
 from station.model.units import powers
 
+NORMAL = 1.96
+"""Standard deviations that bound 95 % of a normal distribution."""
 FAR = 4.0
 """Stated standard deviations beyond which a constant is warned about."""
 
@@ -28,19 +30,22 @@ def judge(space: Parameters, unseen: np.ndarray, seen: np.ndarray, found: Fit, h
     n = len(space.paths)
     root = scipy.linalg.block_diag(space.root, np.diag([h.sigma for h in space.held]))
     whole = scipy.linalg.block_diag(seen, np.eye(len(space.held)))
-    posterior = whole @ found.covariance @ whole.T
+    told = [np.r_[one.parts["constants"], one.parts["held"]] for one in (found.space, space)]   # no encoder's zero
+    posterior = whole @ found.covariance[np.ix_(told[0], told[0])] @ whole.T
     posterior[:n, :n] += unseen @ unseen.T
-    covariance, stated, logs = root @ posterior @ root.T, root @ root.T, root @ whole @ found.x
-    deviation, names = np.sqrt(np.diag(covariance)), space.names()
+    covariance, stated, moved = root @ posterior @ root.T, root @ root.T, root @ whole @ found.x[told[0]]
+    deviation, names = np.sqrt(np.diag(covariance)), np.array(space.names())[told[1]].tolist()
     nominals = [*(space.rig.constants()[path] for path in space.paths), *(h.nominal for h in space.held)]
+    angles = [False] * n + [h.angle for h in space.held]
     determined = np.clip(1.0 - deviation**2 / np.diag(stated), 0.0, 1.0)
     rows = []
-    for name, value, log, d, share in zip(names, nominals, logs.tolist(), deviation.tolist(), determined.tolist(),
-                                          strict=True):
-        low, high = sorted(value * math.exp(log + s * 1.96 * d) for s in (-1.0, 1.0))
-        rows.append(FittedConstant(name, value, value * math.exp(log), low, high, share))
+    for name, nominally, angle, at, d, share in zip(names, nominals, angles, moved.tolist(), deviation.tolist(),
+                                                    determined.tolist(), strict=True):
+        low, value, high = (nominally + away if angle else nominally * math.exp(away)
+                            for away in (at - NORMAL * d, at, at + NORMAL * d))
+        rows.append(FittedConstant(name, nominally, value, *sorted((low, high)), share))
     loose = [row.path for row in rows if row.determined < HALF]
-    far = [name for name, size in zip(names, np.abs(logs) / np.sqrt(np.diag(stated)), strict=True) if size > FAR]
+    far = [name for name, size in zip(names, np.abs(moved) / np.sqrt(np.diag(stated)), strict=True) if size > FAR]
     torque = powers(space.paths, 0)
     free = np.allclose(seen.T @ np.linalg.solve(space.root, torque), 0.0, atol=1e-9) and np.any(torque)
     warnings = [text for text, applies in (
@@ -52,7 +57,7 @@ def judge(space: Parameters, unseen: np.ndarray, seen: np.ndarray, found: Fit, h
         (f"what is left is {np.sqrt(found.misfit):.3g} times the noise: these constants alone do not explain the runs",
          found.misfit > 2.0),
         (f"{starts - agreeing} of {starts} starts ended in another minimum", agreeing < starts)) if applies]
-    flat = [_direction(space, unit, 1.0) for unit in unseen.T]
+    flat = [_direction(space, unit, 1.0, always=True) for unit in unseen.T]
     values, vectors = np.linalg.eigh(seen.T @ posterior[:n, :n] @ seen)
     flat += [_direction(space, seen @ vector, float(value))
              for value, vector in zip(values[::-1], vectors.T[::-1], strict=True) if value > HALF]
@@ -60,10 +65,10 @@ def judge(space: Parameters, unseen: np.ndarray, seen: np.ndarray, found: Fit, h
                      tuple(flat), tuple(warnings), found.misfit, nominal, starts, agreeing)
 
 
-def _direction(space: Parameters, unit: np.ndarray, variance: float) -> FlatDirection:
-    """Of a direction in which the stated uncertainty is 1; none of it taken away: no data show it."""
+def _direction(space: Parameters, unit: np.ndarray, variance: float, always: bool = False) -> FlatDirection:
+    """Of a direction in which the stated uncertainty is 1; ``always``: no data show it."""
     logs = space.root @ unit
     top = int(np.argmax(np.abs(logs)))
     terms = {space.paths[k]: float(logs[k] / logs[top]) for k in np.argsort(-np.abs(logs), kind="stable")
              if abs(logs[k]) > 0.1 * abs(logs[top])}
-    return FlatDirection(terms, variance == 1.0, float(np.clip(1.0 - variance, 0.0, 1.0)))
+    return FlatDirection(terms, always, float(np.clip(1.0 - variance, 0.0, 1.0)))

@@ -19,7 +19,7 @@ class FittedConstant:
     low: float
     high: float
     determined: float
-    """Share of the stated variance (of the logarithm) that the data take away, 0 to 1."""
+    """Share of the stated variance (of the logarithm, of an angle itself) that the data take away, 0 to 1."""
 
 
 @dataclass(frozen=True)

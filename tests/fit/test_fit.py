@@ -166,6 +166,26 @@ def test_what_an_effect_of_the_rig_file_may_be_is_fitted_with_the_constants():
     assert result.rig.effects[0].torque == pytest.approx(torque.value)
 
 
+def test_a_pendulum_is_fitted_wherever_its_encoder_was_zeroed_and_its_angle_is_told_in_radians():
+    tilt = effect_class("gravity_tilt")
+    axis = load_rig("sflr").model_copy(update=dict.fromkeys(("drive", "base", "clamp", "beam", "tip", "accelerometer")))
+    rig = axis.with_effects([tilt(at="base", torque=0.4, angle=0.0)]).model_copy(update={"uncertainty": {
+        "default": 0.2, "gravity_tilt.torque": 0.3, "gravity_tilt.angle": 0.05}})
+    hidden = rig.with_effects([tilt(at="base", torque=0.5, angle=0.0)])
+    run = sent("pulse", 100.0 * (np.arange(800) % 200 < 60), {"kind": "open"})
+    zeros = -0.03, 0.02, 0.03
+    made = [simulate(hidden, run, start_angle=-zero, zero=zero).encoder for zero in zeros]
+    runs = [replace(run, name=f"zero {zero}", encoder=read, accel=None) for zero, read in zip(zeros, made, strict=True)]
+    result = fit(rig, runs, starts=1)
+    torque, angle = (next(c for c in result.constants if c.path == f"gravity_tilt.{name}")
+                     for name in ("torque", "angle"))
+    assert torque.low < 0.5 < torque.high and torque.determined > 0.9
+    assert angle.low < 0.0 < angle.high and angle.high - angle.low == pytest.approx(2.0 * 1.96 * 0.05, rel=0.3)
+    assert angle.determined < 0.5, "encoders that were zeroed anywhere do not say where down is"
+    assert result.rig.effects[0].torque == pytest.approx(torque.value)
+    assert result.rig.effects[0].angle == pytest.approx(angle.value)
+
+
 def test_a_constant_that_is_exact_stays():
     rig = load_rig("sflr")
     rig = rig.model_copy(update={"uncertainty": {**rig.uncertainty, "beam.length": 0.0}})
