@@ -58,8 +58,8 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
 
 def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str, float], None],
               pool: Pool) -> DiagnosisResult:
-    runs, windows = _usable(rig, given)
-    data = dataset(rig, runs, windows)
+    runs, parts = _usable(rig, given)
+    data = dataset(rig, runs, parts)
     predictor = Predictor(data, observers(data.rig, data.noise[0]), pool, *EFFORTS[effort].accuracies)
     try:
         search = select(predictor, EFFORTS[effort], report)
@@ -72,7 +72,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     judged = unseen(search, finding)
     values, constants = estimates(best, finding.rough, judged.left_out)
     known = standing(data, said.causes, best.space.rig_at(best.x))
-    told = completed(finding.odds, said.causes, known) if said.causes in dict(finding.odds.sets) else finding.odds
+    told = completed(finding.odds, said.causes, known)
     decision = verdict(said, told, search.screened, finding.left.is_noise, judged.against, known)
     order: list[Key] = []
     if decision in ("explained", "partly_explained", "ambiguous"):
@@ -86,7 +86,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
                     rivals=rivals(told, said.causes, key, known)) for key in order]
     refit_rig = nothing.space.rig_at(nothing.x)
     extended = best.space.rig_at(best.x) if causes else refit_rig
-    names, parts = [run.name for run in runs], windows or [slice(None)] * len(runs)
+    names = [run.name for run in runs]
     comparisons = [RunComparison(run, before, refit, after if causes else None, seconds_ahead(data, k), part,
                                  best.space.zero(best.x, data.zero_group[k]))
                    for k, (run, before, refit, after, part) in enumerate(
@@ -105,7 +105,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
         runs=[RunFile(run=run.name) for run in given],
         ranking=[Ranked(effect=r.effect, at=r.at, probability=min(r.probability, 1.0), note=r.note) for r in ranked])
     drawn = [row.zeroed(rig.angle_per_count) for row, warm in zip(comparisons, data.warm, strict=True) if not warm]
-    drawn = [replace(run, name=given[0].name) for run in drawn[:1]] if windows else drawn
+    drawn = [replace(run, name=given[0].name) for run in drawn[:1]] if len(given) == 1 else drawn
     draw = partial(_drawn, refit_rig, extended, drawn, [(c.effect, c.at) for c in causes], pool)
     report("done", 1.0)
     return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, ranked, draw, constants,
@@ -125,8 +125,8 @@ def _in_order_of(found: DiagnosisResult, names: list[str], order: list[int], sec
     """The result with its runs in the order in which they were given."""
     place = {name: order[k] for k, name in reversed(list(enumerate(names)))}
 
-    def by_run(row: object) -> int:
-        return place.get(str(row), place.get(str(row).rsplit(" (", 1)[0], 0))    # of one run "(first half)"
+    def by_run(name: str) -> int:
+        return place.get(name, 0)       # the halves of a single run stay as they are
 
     diagnosis = found.diagnosis.model_copy(update={
         "runs": sorted(found.diagnosis.runs, key=lambda r: by_run(r.run)),
@@ -139,8 +139,9 @@ def _in_order_of(found: DiagnosisResult, names: list[str], order: list[int], sec
                    comparisons=sorted(found.comparisons, key=lambda c: by_run(c.run.name)))
 
 
-def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice] | None]:
-    """The runs, checked, their gaps filled; a run that is alone is judged half by half."""
+def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice]]:
+    """The runs, checked, their gaps filled, and the rows of each that count: a run that is alone is judged half by
+    half."""
     if not runs:
         raise UsageError("diagnose: at least one run is wanted")
     for run in runs:
@@ -148,7 +149,7 @@ def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice] | Non
             raise WorkError(f"{run.name}: no accelerometer column, but rig {rig.name} has an accelerometer")
     runs = [run.filled(rig.sample_rate) for run in runs]
     if len(runs) > 1:
-        return runs, None
+        return runs, [slice(None)] * len(runs)
     half = len(runs[0].t) // 2
     return ([replace(runs[0], name=f"{runs[0].name} ({part} half)") for part in ("first", "second")],
             [slice(0, half), slice(half, None)])

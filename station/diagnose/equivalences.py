@@ -328,10 +328,12 @@ def completed(odds: Odds, named: frozenset[Key], known: Sequence[Standing]) -> O
     The data say the same of both, so only the prior is between them.
     """
     scores = {keys: math.log(max(p, 1e-300)) for keys, p in odds.sets}
+    if not known or named not in scores:
+        return odds
     for side in (side for row in known for side in row.sides):
         equal = scores[named] + min(side.log_odds, 0.0)
         scores[side.causes] = max(scores.get(side.causes, -math.inf), equal)
-    return normalised(scores, odds.stability) if known else odds
+    return normalised(scores, odds.stability)
 
 
 def bound_rivals(named: frozenset[Key], cause: Key, known: Sequence[Standing]) -> set[Key]:

@@ -16,7 +16,6 @@ from station.estimation.dataset import Dataset
 from station.estimation.least_squares import DIVERGED, Fit, fit, own_steps
 from station.estimation.likelihood import Weighing, cost, nuisance_precision
 from station.estimation.observer import observers
-from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor, angle_that_reads, predict_run
 from station.model.simulate import Model, Simulation, build, simulate_model
 
@@ -84,14 +83,13 @@ def settled_run(data: Dataset, model: Model, run: int, own: np.ndarray, differ: 
     return whole_run(data, model, run, own, zero=zero, place=place)
 
 
-def simulate_runs(data: Dataset, space: Parameters, x: np.ndarray, own: np.ndarray) -> list[Simulation]:
-    """Every run on the rig of a parameter vector (exact model, whole counts)."""
-    model = build(space.rig_at(x))
-    return [settled_run(data, model, r, own[r], zero=space.zero(x, data.zero_group[r]), place=space.place(x, r))
-            for r in range(len(data.runs))]
+def nominal(data: Dataset, found: Fit) -> Fit:
+    """The rig as its file says, in a fit's place: runs have of their own what was read, and do not differ otherwise."""
+    return replace(found, x=np.zeros(found.space.size), own=data.own,
+                   weighing=replace(found.weighing, differ=(0.0, 0.0)))
 
 
-def leave_each_out(predictor: Predictor, weighing: Weighing, found: Fit, iterations: int = 6) -> list[Fit]:
+def leave_each_out(predictor: Predictor, weighing: Weighing, found: Fit) -> list[Fit]:
     """For every run a fit that leaves that run out.
 
     Begun from the fit of all runs, since the way from the prior ends in side valleys; what the left-out run alone had
@@ -103,7 +101,7 @@ def leave_each_out(predictor: Predictor, weighing: Weighing, found: Fit, iterati
         weights[r] = 0.0
         with suppress(*DIVERGED):
             left = fit(predictor, found.space, weighing, found.x, found.own, runs=weights,
-                       jacobian=found.jacobian, iterations=iterations, renewals=2).light
+                       jacobian=found.jacobian, iterations=6, renewals=2).light
             return replace(left, x=found.space.with_own_of(left.x, found.x, r, predictor.data.zero_group))
         return found.light
 
@@ -111,7 +109,7 @@ def leave_each_out(predictor: Predictor, weighing: Weighing, found: Fit, iterati
 
 
 def simulate_unseen(predictor: Predictor, left_out: Sequence[Fit]) -> list[Simulation]:
-    """Every run, simulated by the fit that left that run out."""
+    """Every run, simulated by the fit that left that run out (exact model, whole counts)."""
     data = predictor.data
 
     def one(r: int) -> Simulation:
@@ -121,18 +119,15 @@ def simulate_unseen(predictor: Predictor, left_out: Sequence[Fit]) -> list[Simul
     return list(predictor.pool.map(one, range(len(data.runs))))
 
 
-def predicted_ahead(predictor: Predictor, fits: Sequence[Fit] | Fit, nominal: bool = False) -> list[dict[str, float]]:
-    """Per run the encoder's nrmse of predictions AHEAD seconds ahead, by a fit for each run (or one for all)."""
+def predicted_ahead(predictor: Predictor, left_out: Sequence[Fit]) -> list[dict[str, float]]:
+    """Per run the encoder's nrmse of predictions AHEAD seconds ahead, by the fit that left that run out."""
     data = predictor.data
     watched = observers(data.rig, data.noise[0], AHEAD)
 
     def one(r: int) -> dict[str, float]:
-        left = fits if isinstance(fits, Fit) else fits[r]
-        x = np.zeros_like(left.x) if nominal else left.x
-        model, zero = build(left.space.rig_at(x)), left.space.zero(x, data.zero_group[r])
-        run, rows = data.runs[r], data.windows[r]
-        made, _ = predict_run(data, model, watched, r, data.own[r] if nominal else left.own[r], zero=zero,
-                              place=left.space.place(x, r))
+        left, run, rows = left_out[r], data.runs[r], data.windows[r]
+        made, _ = predict_run(data, build(left.space.rig_at(left.x)), watched, r, left.own[r],
+                              zero=left.space.zero(left.x, data.zero_group[r]), place=left.space.place(left.x, r))
         return {f"{seconds:g} s": nrmse(run.encoder[rows], angle[rows])
                 for seconds, angle in zip(AHEAD, made[:, 0], strict=True)}
     return list(predictor.pool.map(one, range(len(data.runs))))
