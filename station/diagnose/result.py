@@ -20,6 +20,8 @@ from station.runs.run import Run
 if TYPE_CHECKING:
     from station.pictures.evidence import Evidence
 
+Channel = Literal["encoder", "accel"]
+CHANNELS: tuple[Channel, ...] = ("encoder", "accel")
 Verdict = Literal["explained", "partly_explained", "unexplained", "nothing_missing", "ambiguous", "not_enough_data"]
 
 
@@ -31,7 +33,7 @@ class Wrong(_Table):
     """One thing that the nominal simulation gets wrong."""
 
     run: str
-    channel: Literal["encoder", "accel"]
+    channel: Channel
     measure: str
     simulated: float | None
     measured: float | None

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from station.diagnose.measures import floor, nrmse, repeats, step_figures
-from station.diagnose.result import ChannelGain, Gain, RunGain
+from station.diagnose.result import CHANNELS, ChannelGain, Gain, RunGain
 from station.diagnose.thresholds import EXPLAINABLE, UNSEEN
 from station.estimation.dataset import Dataset
 from station.estimation.least_squares import DIVERGED, Fit, fit, own_steps
@@ -23,7 +23,6 @@ AHEAD = (0.1, 1.0)
 """Seconds ahead that predictions are told for."""
 UNKNOWN_AHEAD = 0.5
 """The same where a run's controller is unknown, so that no whole closed loop can be simulated."""
-CHANNELS = ("encoder", "accel")
 OWN_STEPS = 8
 """Most steps to what a run has of its own."""
 
