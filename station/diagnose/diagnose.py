@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -53,7 +53,8 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     pool = Pool(threads, __name__)
     with threadpool_limits(1):
         found = _diagnose(rig, [runs[i] for i in order], effort, progress or (lambda text, share: None), pool)
-    return _in_order_of(found, [runs[i].name for i in order], order, time.perf_counter() - begun)
+    _put_in_order(found, [runs[i].name for i in order], order)
+    return replace(found, seconds=time.perf_counter() - begun)
 
 
 def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str, float], None],
@@ -81,8 +82,8 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
         order, told = in_order(replace(told, causes={**told.causes, **laws}), said.causes,
                                partial(bought, search, said.causes), finding.odds.draws.error)
     told = told if finding.left.is_noise else with_outside(told)
-    causes = [Cause(effect=key[0], at=key[1], probability=min(told.causes[key], 1.0), parameters=values[key],
-                    stability=min(finding.by_law.stability.get(key, 0.0), 1.0),
+    causes = [Cause(effect=key[0], at=key[1], probability=told.causes[key], parameters=values[key],
+                    stability=finding.by_law.stability.get(key, 0.0),
                     rivals=rivals(told, said.causes, key, known)) for key in order]
     refit_rig = nothing.space.rig_at(nothing.x)
     extended = best.space.rig_at(best.x) if causes else refit_rig
@@ -103,14 +104,15 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
         outside=finding.outside, disturbance=_disturbance(predictor, [data.rig, refit_rig, extended]),
         between_runs=between_runs(search, finding, names), rig=rig.name, effort=effort,
         runs=[RunFile(run=run.name) for run in given],
-        ranking=[Ranked(effect=r.effect, at=r.at, probability=min(r.probability, 1.0), note=r.note) for r in ranked])
+        ranking=[Ranked(effect=r.effect, at=r.at, probability=r.probability, note=r.note) for r in ranked])
     drawn = [row.zeroed(rig.angle_per_count) for row, warm in zip(comparisons, data.warm, strict=True) if not warm]
     drawn = [replace(run, name=given[0].name) for run in drawn[:1]] if len(given) == 1 else drawn
     draw = partial(_drawn, refit_rig, extended, drawn, [(c.effect, c.at) for c in causes], pool)
     report("done", 1.0)
     return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, ranked, draw, constants,
-                           notes(rig, search, finding, judged), 0.0, choice.plan, choice.unseen, choice.prediction,
-                           [row.equivalence.sentence for row in known] if causes else [])
+                           notes(rig, search, finding, judged), plan=choice.plan, unseen=choice.unseen,
+                           prediction=choice.prediction,
+                           equivalences=[row.equivalence.sentence for row in known] if causes else [])
 
 
 def _drawn(rig: Rig, extended: Rig, runs: Sequence[Run], causes: Sequence[tuple[str, str]], pool: Pool,
@@ -121,22 +123,15 @@ def _drawn(rig: Rig, extended: Rig, runs: Sequence[Run], causes: Sequence[tuple[
         return evidence(rig, extended, runs, causes, pool) if runs else []
 
 
-def _in_order_of(found: DiagnosisResult, names: list[str], order: list[int], seconds: float) -> DiagnosisResult:
-    """The result with its runs in the order in which they were given."""
+def _put_in_order(found: DiagnosisResult, names: list[str], order: list[int]) -> None:
+    """Put all that is said run by run in the order in which the runs were given; the halves of one stay as they are."""
     place = {name: order[k] for k, name in reversed(list(enumerate(names)))}
-
-    def by_run(name: str) -> int:
-        return place.get(name, 0)       # the halves of a single run stay as they are
-
-    diagnosis = found.diagnosis.model_copy(update={
-        "runs": sorted(found.diagnosis.runs, key=lambda r: by_run(r.run)),
-        "between_runs": found.diagnosis.between_runs and found.diagnosis.between_runs.model_copy(update={
-            "runs": sorted(found.diagnosis.between_runs.runs, key=lambda r: by_run(r.run))}),
-        "gain": found.diagnosis.gain.model_copy(update={
-            "held_out": sorted(found.diagnosis.gain.held_out, key=by_run),
-            "runs": sorted(found.diagnosis.gain.runs, key=lambda r: by_run(r.run))})})
-    return replace(found, diagnosis=diagnosis, seconds=seconds,
-                   comparisons=sorted(found.comparisons, key=lambda c: by_run(c.run.name)))
+    said = found.diagnosis
+    rows: list[Any]
+    for rows in (said.runs, said.gain.runs, said.between_runs.runs):
+        rows.sort(key=lambda row: place.get(row.run, 0))
+    said.gain.held_out.sort(key=lambda name: place.get(name, 0))
+    found.comparisons.sort(key=lambda row: place.get(row.run.name, 0))
 
 
 def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice]]:

@@ -348,8 +348,8 @@ def rivals(odds: Odds, named: frozenset[Key], cause: Key, known: Sequence[Standi
     others = odds.replacements(named, cause)
     bound = bound_rivals(named, cause, known)
     likely = sorted((key for key in others if key not in bound and others[key] >= LISTED), key=lambda k: -others[k])
-    found = [Rival(effect=k[0], at=k[1], probability=min(others[k], 1.0)) for k in likely[:LONGEST_LIST]]
-    found += [Rival(effect=k[0], at=k[1], probability=min(max(others.get(k, 0.0), BELIEVABLE), 1.0))
+    found = [Rival(effect=k[0], at=k[1], probability=others[k]) for k in likely[:LONGEST_LIST]]
+    found += [Rival(effect=k[0], at=k[1], probability=max(others.get(k, 0.0), BELIEVABLE))
               for k in sorted(bound)]
     return sorted(found, key=lambda rival: -rival.probability)
 

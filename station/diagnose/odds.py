@@ -198,8 +198,7 @@ def with_outside(found: Odds) -> Odds:
     """
     inside = 1.0 - OUTSIDE
     return replace(found, sets=[(keys, inside * p) for keys, p in found.sets], nothing=inside * found.nothing,
-                   causes={key: inside * p for key, p in found.causes.items()},
-                   laws={name: inside * p for name, p in found.laws.items()})
+                   causes={key: inside * p for key, p in found.causes.items()})
 
 
 def normalised(scores: dict[Causes, float], stability: dict[Key, float]) -> Odds:
