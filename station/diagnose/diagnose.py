@@ -87,7 +87,6 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
                     rivals=rivals(told, said.causes, key, known)) for key in order]
     refit_rig = nothing.space.rig_at(nothing.x)
     extended = best.space.rig_at(best.x) if causes else refit_rig
-    names = [run.name for run in runs]
     comparisons = [RunComparison(run, before, refit, after if causes else None, seconds_ahead(data, k), part,
                                  best.space.zero(best.x, data.zero_group[k]))
                    for k, (run, before, refit, after, part) in enumerate(
@@ -96,13 +95,12 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     choice = choose(search, finding.odds, decision)
     decided = decision in ("explained", "nothing_missing") and len(given) >= FEW
     ranked = ranking(search, told, judged)
-    before, _, after = judged.simulations
     diagnosis = Diagnosis(
         verdict=decision, wrong=wrong(comparisons, data.noise), causes=causes,
-        gain=gain(data, names, before, after, judged.ahead, parts),
+        gain=gain(data, comparisons, judged.simulations[2], judged.ahead),
         next_experiment=with_word(None if decided else choice.next, decision, told, said.causes, known),
         outside=finding.outside, disturbance=_disturbance(predictor, [data.rig, refit_rig, extended]),
-        between_runs=between_runs(search, finding, names), rig=rig.name, effort=effort,
+        between_runs=between_runs(search, finding), rig=rig.name, effort=effort,
         runs=[RunFile(run=run.name) for run in given],
         ranking=[Ranked(effect=r.effect, at=r.at, probability=r.probability, note=r.note) for r in ranked])
     drawn = [row.zeroed(rig.angle_per_count) for row, warm in zip(comparisons, data.warm, strict=True) if not warm]

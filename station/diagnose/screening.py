@@ -182,11 +182,10 @@ def _pairs(known: Linearised, rows: Sequence[_Row]) -> list[tuple[Screened, Scre
     if len(leading) < 2:
         return []
     gram, slope = known.products([change for row in leading for change in row.changes])
-    ends = np.cumsum([len(row.changes) for row in leading])
-    columns = [list(range(end - len(row.changes), end)) for row, end in zip(leading, ends.tolist(), strict=True)]
+    columns = np.split(np.arange(len(slope)), np.cumsum([len(row.changes) for row in leading])[:-1])
     pairs = []
     for (one, mine), (other, its) in combinations(zip(leading, columns, strict=True), 2):
-        both = mine + its
+        both = np.concatenate([mine, its])
         with suppress(np.linalg.LinAlgError):
             sizes = np.linalg.solve(gram[np.ix_(both, both)], slope[both])
             gain = float(slope[both] @ sizes)

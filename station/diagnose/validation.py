@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from station.diagnose.measures import floor, nrmse, repeats, step_figures
-from station.diagnose.result import CHANNELS, ChannelGain, Gain, RunGain
+from station.diagnose.result import CHANNELS, ChannelGain, Gain, RunComparison, RunGain
 from station.diagnose.thresholds import EXPLAINABLE, UNSEEN
 from station.estimation.dataset import Dataset
 from station.estimation.least_squares import DIVERGED, Fit, fit, own_steps
@@ -212,25 +212,30 @@ def contradicted(gains: np.ndarray, relieved: float) -> bool:
     return not float(gains.sum()) + relieved >= UNSEEN * standard_error(gains)     # what is no number does not help
 
 
-def gain(data: Dataset, names: Sequence[str], before: Sequence[Simulation], after: Sequence[Simulation],
-         ahead: tuple[Sequence[dict[str, float]], Sequence[dict[str, float]]], parts: Sequence[slice]) -> Gain:
+def gain(data: Dataset, comparisons: Sequence[RunComparison], after: Sequence[Simulation],
+         ahead: tuple[Sequence[dict[str, float]], Sequence[dict[str, float]]]) -> Gain:
     """The diagnosis file's gain: nrmse over all held-out runs and the share of the explainable error removed.
 
-    ``ahead``: per run the errors of predictions so far ahead, before and after (``predicted_ahead``); ``parts``: the
-    rows of each run that steps are judged by.
+    ``ahead``: per run the errors of predictions so far ahead, before and after (``predicted_ahead``).
     """
-    found, fractions, between = {}, [], repeats(data.runs)
-    runs = [RunGain(run=name, seconds_ahead=seconds_ahead(data, r), repeats=between[r]) for r, name in enumerate(names)]
-    for c, channel in enumerate(CHANNELS[: data.channels]):
+    found, fractions, runs = {}, [], []
+    for c, made, old, new, between in zip(comparisons, after, *ahead, repeats(data.runs), strict=True):
+        runs.append(RunGain(run=c.run.name, seconds_ahead=c.seconds_ahead, repeats=between,
+                            measured=step_figures(c.run, c.run.encoder, c.part),
+                            before=step_figures(c.run, c.before.encoder, c.part),
+                            after=step_figures(c.run, made.encoder, c.part),
+                            ahead={time: ChannelGain(nrmse_before=old[time], nrmse_after=new[time])
+                                   for time in old if np.isfinite([old[time], new[time]]).all()}))
+    for channel, sigma in zip(CHANNELS[: data.channels], data.noise, strict=False):
         spread = error_before = error_after = explained = explainable = 0.0
-        for r, (run, rows, old, new) in enumerate(zip(data.runs, data.windows, before, after, strict=True)):
-            measured = getattr(run, channel)[rows]
+        for one, c, rows, made in zip(runs, comparisons, data.windows, after, strict=True):
+            measured = getattr(c.run, channel)[rows]
             size = float(np.sum((measured - measured.mean()) ** 2))
             if size == 0.0:
                 continue
-            least = floor(measured, data.noise[c])
-            b, a = nrmse(measured, getattr(old, channel)[rows]), nrmse(measured, getattr(new, channel)[rows])
-            setattr(runs[r], channel, ChannelGain(nrmse_before=b, nrmse_after=a))
+            least = floor(measured, sigma)
+            b, a = (nrmse(measured, getattr(simulation, channel)[rows]) for simulation in (c.before, made))
+            setattr(one, channel, ChannelGain(nrmse_before=b, nrmse_after=a))
             spread += size
             error_before += b * b * size
             error_after += a * a * size
@@ -242,10 +247,5 @@ def gain(data: Dataset, names: Sequence[str], before: Sequence[Simulation], afte
                                          nrmse_after=float(np.sqrt(error_after / spread)))
         if explainable:
             fractions.append(explained / explainable)
-    for r, (run, old, new) in enumerate(zip(data.runs, before, after, strict=True)):
-        runs[r].measured, runs[r].before, runs[r].after = (step_figures(run, s.encoder, parts[r])
-                                                           for s in (run, old, new))
-        runs[r].ahead = {k: ChannelGain(nrmse_before=ahead[0][r][k], nrmse_after=ahead[1][r][k])
-                         for k in ahead[0][r] if np.isfinite([ahead[0][r][k], ahead[1][r][k]]).all()}
-    return Gain(held_out=list(names), encoder=found.get("encoder"), accel=found.get("accel"), runs=runs,
+    return Gain(held_out=[one.run for one in runs], encoder=found.get("encoder"), accel=found.get("accel"), runs=runs,
                 explained_fraction=float(np.mean(fractions)) if fractions else None)
