@@ -404,12 +404,11 @@ def _sigma(search: Selection) -> np.ndarray:
 
 
 def choose(search: Selection, odds: Odds, verdict: Verdict) -> Choice:
-    """What to do next, by sets of causes that were fitted."""
+    """What to do next, by the odds of the sets of causes that were fitted."""
     data = search.predictor.data
     planner = Planner(data.rig, _sigma(search), search.predictor.pool, tests_of(data.runs))
-    fitted = [(keys, p) for keys, p in odds.sets if keys in search.fits]
-    best, top = fitted[0]
-    rivals = [(keys, p) for keys, p in fitted[:LEADING] if p >= UNLIKELY * top]
+    best, top = odds.sets[0]
+    rivals = [(keys, p) for keys, p in odds.sets[:LEADING] if p >= UNLIKELY * top]
     undecidable = None
     if top < SETTLED and len(rivals) > 1 and verdict not in ("not_enough_data", "unexplained"):
         causes = sorted({key for keys, _ in rivals for key in keys})
@@ -428,7 +427,7 @@ def choose(search: Selection, odds: Odds, verdict: Verdict) -> Choice:
     judge = showing(planner, plain, _addable(data.rig, best), [belief(search, fit)])
     plan = _choice(planner.best(judge, trials(data.rig)), planner)
     if undecidable is not None:
-        return Choice(NextExperiment(test=None, why=undecidable), None, plan.next, plan.unseen)
+        return replace(plan, next=NextExperiment(test=None, why=undecidable), prediction=None)
     return plan
 
 
