@@ -52,7 +52,8 @@ def unseen(search: Selection, finding: Finding) -> Unseen:
     predictor, nothing, causes = search.predictor, search.fits[frozenset()], finding.said.causes
     unfitted = [nominal(predictor.data, nothing)] * len(predictor.data.runs)
     left_out = {causes: leave_each_out(predictor, finding.fit.weighing, finding.fit)}
-    left_out.setdefault(frozenset(), leave_each_out(predictor, search.own_weighing(nothing), nothing))
+    if causes:
+        left_out[frozenset()] = leave_each_out(predictor, search.own_weighing(nothing), nothing)
     alone, said = left_out[frozenset()], left_out[causes]
     refit = simulate_unseen(predictor, alone)
     densities = {keys: log_densities(predictor, search.weighing, fits) for keys, fits in left_out.items()}
