@@ -9,7 +9,7 @@ import numpy as np
 
 from station.estimation.dataset import Dataset
 from station.estimation.least_squares import Fit
-from station.estimation.parameters import Hypothesis, Parameters, parameters
+from station.estimation.parameters import Hypothesis, Key, Parameters, parameters
 from station.model.effects import Effect, Stage, catalogue
 from station.rig import PROFILE, Rig
 
@@ -24,9 +24,9 @@ class Candidate:
     guesses: tuple[dict[str, float], ...] = ()
 
     @property
-    def key(self) -> tuple[str, str]:
+    def key(self) -> Key:
         """As the diagnosis file names it."""
-        return (f"parameter:{self.constant}", "") if self.effect is None else (self.effect.name, self.at)
+        return self.hypothesis.causes[0]
 
     @property
     def starts(self) -> int:

@@ -10,7 +10,8 @@ import numpy as np
 
 from station import markup
 from station.diagnose.measures import measures
-from station.diagnose.validation import CHANNELS, settled_run, whole_run
+from station.diagnose.result import CHANNELS
+from station.diagnose.validation import settled_run, whole_run
 from station.estimation.dataset import Dataset, dataset
 from station.model.simulate import Model, Simulation, build
 from station.rig import Rig

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -53,13 +53,14 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     pool = Pool(threads, __name__)
     with threadpool_limits(1):
         found = _diagnose(rig, [runs[i] for i in order], effort, progress or (lambda text, share: None), pool)
-    return _in_order_of(found, [runs[i].name for i in order], order, time.perf_counter() - begun)
+    _put_in_order(found, [runs[i].name for i in order], order)
+    return replace(found, seconds=time.perf_counter() - begun)
 
 
 def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str, float], None],
               pool: Pool) -> DiagnosisResult:
-    runs, windows = _usable(rig, given)
-    data = dataset(rig, runs, windows)
+    runs, parts = _usable(rig, given)
+    data = dataset(rig, runs, parts)
     predictor = Predictor(data, observers(data.rig, data.noise[0]), pool, *EFFORTS[effort].accuracies)
     try:
         search = select(predictor, EFFORTS[effort], report)
@@ -72,7 +73,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     judged = unseen(search, finding)
     values, constants = estimates(best, finding.rough, judged.left_out)
     known = standing(data, said.causes, best.space.rig_at(best.x))
-    told = completed(finding.odds, said.causes, known) if said.causes in dict(finding.odds.sets) else finding.odds
+    told = completed(finding.odds, said.causes, known)
     decision = verdict(said, told, search.screened, finding.left.is_noise, judged.against, known)
     order: list[Key] = []
     if decision in ("explained", "partly_explained", "ambiguous"):
@@ -81,12 +82,11 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
         order, told = in_order(replace(told, causes={**told.causes, **laws}), said.causes,
                                partial(bought, search, said.causes), finding.odds.draws.error)
     told = told if finding.left.is_noise else with_outside(told)
-    causes = [Cause(effect=key[0], at=key[1], probability=min(told.causes[key], 1.0), parameters=values[key],
-                    stability=min(finding.by_law.stability.get(key, 0.0), 1.0),
+    causes = [Cause(effect=key[0], at=key[1], probability=told.causes[key], parameters=values[key],
+                    stability=finding.by_law.stability.get(key, 0.0),
                     rivals=rivals(told, said.causes, key, known)) for key in order]
     refit_rig = nothing.space.rig_at(nothing.x)
     extended = best.space.rig_at(best.x) if causes else refit_rig
-    names, parts = [run.name for run in runs], windows or [slice(None)] * len(runs)
     comparisons = [RunComparison(run, before, refit, after if causes else None, seconds_ahead(data, k), part,
                                  best.space.zero(best.x, data.zero_group[k]))
                    for k, (run, before, refit, after, part) in enumerate(
@@ -95,22 +95,22 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     choice = choose(search, finding.odds, decision)
     decided = decision in ("explained", "nothing_missing") and len(given) >= FEW
     ranked = ranking(search, told, judged)
-    before, _, after = judged.simulations
     diagnosis = Diagnosis(
         verdict=decision, wrong=wrong(comparisons, data.noise), causes=causes,
-        gain=gain(data, names, before, after, judged.ahead, parts),
+        gain=gain(data, comparisons, judged.simulations[2], judged.ahead),
         next_experiment=with_word(None if decided else choice.next, decision, told, said.causes, known),
         outside=finding.outside, disturbance=_disturbance(predictor, [data.rig, refit_rig, extended]),
-        between_runs=between_runs(search, finding, names), rig=rig.name, effort=effort,
+        between_runs=between_runs(search, finding), rig=rig.name, effort=effort,
         runs=[RunFile(run=run.name) for run in given],
-        ranking=[Ranked(effect=r.effect, at=r.at, probability=min(r.probability, 1.0), note=r.note) for r in ranked])
+        ranking=[Ranked(effect=r.effect, at=r.at, probability=r.probability, note=r.note) for r in ranked])
     drawn = [row.zeroed(rig.angle_per_count) for row, warm in zip(comparisons, data.warm, strict=True) if not warm]
-    drawn = [replace(run, name=given[0].name) for run in drawn[:1]] if windows else drawn
+    drawn = [replace(run, name=given[0].name) for run in drawn[:1]] if len(given) == 1 else drawn
     draw = partial(_drawn, refit_rig, extended, drawn, [(c.effect, c.at) for c in causes], pool)
     report("done", 1.0)
     return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, ranked, draw, constants,
-                           notes(rig, search, finding, judged), 0.0, choice.plan, choice.unseen, choice.prediction,
-                           [row.equivalence.sentence for row in known] if causes else [])
+                           notes(rig, search, finding, judged), plan=choice.plan, unseen=choice.unseen,
+                           prediction=choice.prediction,
+                           equivalences=[row.equivalence.sentence for row in known] if causes else [])
 
 
 def _drawn(rig: Rig, extended: Rig, runs: Sequence[Run], causes: Sequence[tuple[str, str]], pool: Pool,
@@ -121,26 +121,20 @@ def _drawn(rig: Rig, extended: Rig, runs: Sequence[Run], causes: Sequence[tuple[
         return evidence(rig, extended, runs, causes, pool) if runs else []
 
 
-def _in_order_of(found: DiagnosisResult, names: list[str], order: list[int], seconds: float) -> DiagnosisResult:
-    """The result with its runs in the order in which they were given."""
+def _put_in_order(found: DiagnosisResult, names: list[str], order: list[int]) -> None:
+    """Put all that is said run by run in the order in which the runs were given; the halves of one stay as they are."""
     place = {name: order[k] for k, name in reversed(list(enumerate(names)))}
-
-    def by_run(row: object) -> int:
-        return place.get(str(row), place.get(str(row).rsplit(" (", 1)[0], 0))    # of one run "(first half)"
-
-    diagnosis = found.diagnosis.model_copy(update={
-        "runs": sorted(found.diagnosis.runs, key=lambda r: by_run(r.run)),
-        "between_runs": found.diagnosis.between_runs and found.diagnosis.between_runs.model_copy(update={
-            "runs": sorted(found.diagnosis.between_runs.runs, key=lambda r: by_run(r.run))}),
-        "gain": found.diagnosis.gain.model_copy(update={
-            "held_out": sorted(found.diagnosis.gain.held_out, key=by_run),
-            "runs": sorted(found.diagnosis.gain.runs, key=lambda r: by_run(r.run))})})
-    return replace(found, diagnosis=diagnosis, seconds=seconds,
-                   comparisons=sorted(found.comparisons, key=lambda c: by_run(c.run.name)))
+    said = found.diagnosis
+    rows: list[Any]
+    for rows in (said.runs, said.gain.runs, said.between_runs.runs):
+        rows.sort(key=lambda row: place.get(row.run, 0))
+    said.gain.held_out.sort(key=lambda name: place.get(name, 0))
+    found.comparisons.sort(key=lambda row: place.get(row.run.name, 0))
 
 
-def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice] | None]:
-    """The runs, checked, their gaps filled; a run that is alone is judged half by half."""
+def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice]]:
+    """The runs, checked, their gaps filled, and the rows of each that count: a run that is alone is judged half by
+    half."""
     if not runs:
         raise UsageError("diagnose: at least one run is wanted")
     for run in runs:
@@ -148,7 +142,7 @@ def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice] | Non
             raise WorkError(f"{run.name}: no accelerometer column, but rig {rig.name} has an accelerometer")
     runs = [run.filled(rig.sample_rate) for run in runs]
     if len(runs) > 1:
-        return runs, None
+        return runs, [slice(None)] * len(runs)
     half = len(runs[0].t) // 2
     return ([replace(runs[0], name=f"{runs[0].name} ({part} half)") for part in ("first", "second")],
             [slice(0, half), slice(half, None)])

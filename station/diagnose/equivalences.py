@@ -165,6 +165,10 @@ class _Constants:
         self.units = [d for d in (powers(self.paths, 0), powers(self.paths, 1)) if np.any(d)]
         self.time = powers(self.paths, 2)
 
+    def bearers(self, direction: np.ndarray) -> set[Key]:
+        """The constants that a unit enters, as causes."""
+        return {_constant(p) for p, power in zip(self.paths, direction, strict=True) if power}
+
     def covariance(self, causes: frozenset[Key]) -> np.ndarray:
         """Of the logarithms, with a set of causes set free; a clock that is off spreads them along time."""
         found = self.setting.rig.log_covariance(self.paths)
@@ -186,7 +190,7 @@ class _Constants:
 
         return LOG_PRIOR * (len(other) - len(self.causes)) + log_density(other) - log_density(self.causes)
 
-    def believable(self, added: Sequence[Key]) -> Iterator[tuple[frozenset[Key], float]]:
+    def believable(self, added: Collection[Key]) -> Iterator[tuple[frozenset[Key], float]]:
         """Sets, and their log odds, in which one of ``added`` takes the place of one or more wrong constants."""
         named = [_constant(path) for path in _paths(self.causes)]
         rivals = sorted(self.setting.allowed & set(added) - self.causes)
@@ -215,11 +219,10 @@ def _unit(which: int, causes: frozenset[Key], rig: Rig, setting: Setting) -> lis
     direction = powers(known.paths, which)
     if not _paths(causes) or not np.any(direction):
         return []
-    found = []
-    bearers = [_constant(p) for p, power in zip(known.paths, direction, strict=True) if power]
+    found, bearers = [], known.bearers(direction)
     if which == 0 and GAIN in causes:
         factor = setting.rig.motor.gain / rig.motor.gain
-        other = (causes | set(bearers)) - {GAIN}
+        other = (causes | bearers) - {GAIN}
         found.append(Side(other, rescaled(rig, torque=factor), known.log_odds(other, known.units)))
     others = [d for d in known.units if not np.array_equal(d, direction)]
     for other, log_odds in known.believable(bearers):
@@ -236,8 +239,7 @@ def _time(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
     known = _Constants(causes, rig, setting)
     if CLOCK in causes:
         ratio = _sizes(rig)[CLOCK]["ratio"]
-        moved = {_constant(p) for p, power in zip(known.paths, known.time, strict=True) if power}
-        other = (causes | moved) - {CLOCK}
+        other = (causes | known.bearers(known.time)) - {CLOCK}
         return [Side(other, rescaled(_with(rig, [CLOCK], {}), time=1.0 / ratio), known.log_odds(other, known.units))]
     found = []
     for other, log_odds in known.believable([CLOCK]):
@@ -328,10 +330,12 @@ def completed(odds: Odds, named: frozenset[Key], known: Sequence[Standing]) -> O
     The data say the same of both, so only the prior is between them.
     """
     scores = {keys: math.log(max(p, 1e-300)) for keys, p in odds.sets}
+    if not known or named not in scores:
+        return odds
     for side in (side for row in known for side in row.sides):
         equal = scores[named] + min(side.log_odds, 0.0)
         scores[side.causes] = max(scores.get(side.causes, -math.inf), equal)
-    return normalised(scores, odds.stability) if known else odds
+    return normalised(scores, odds.stability)
 
 
 def bound_rivals(named: frozenset[Key], cause: Key, known: Sequence[Standing]) -> set[Key]:
@@ -344,8 +348,8 @@ def rivals(odds: Odds, named: frozenset[Key], cause: Key, known: Sequence[Standi
     others = odds.replacements(named, cause)
     bound = bound_rivals(named, cause, known)
     likely = sorted((key for key in others if key not in bound and others[key] >= LISTED), key=lambda k: -others[k])
-    found = [Rival(effect=k[0], at=k[1], probability=min(others[k], 1.0)) for k in likely[:LONGEST_LIST]]
-    found += [Rival(effect=k[0], at=k[1], probability=min(max(others.get(k, 0.0), BELIEVABLE), 1.0))
+    found = [Rival(effect=k[0], at=k[1], probability=others[k]) for k in likely[:LONGEST_LIST]]
+    found += [Rival(effect=k[0], at=k[1], probability=max(others.get(k, 0.0), BELIEVABLE))
               for k in sorted(bound)]
     return sorted(found, key=lambda rival: -rival.probability)
 

@@ -300,30 +300,20 @@ def between(planner: Planner, beliefs: Sequence[Belief], odds: Sequence[float]) 
     return judge
 
 
-@dataclass(frozen=True)
-class Blocks:
-    """What one run says of constants S (k) and of effects D (m), its own nuisances taken out: S S', S D', D D'.
+def told(spread: np.ndarray, change: np.ndarray, nuisances: np.ndarray) -> np.ndarray:
+    """(k + m, k + m) what one run says of constants and effects, its own nuisances taken out; runs add.
 
-    Runs add.
+    From scaled rows (k, n), (m, n) and the nuisances' (channels, n).
     """
+    rows = np.concatenate([spread, change])
+    return absorbed(rows, nuisances) @ rows.T
 
-    constants: np.ndarray
-    cross: np.ndarray
-    effects: np.ndarray
 
-    @classmethod
-    def of(cls, spread: np.ndarray, change: np.ndarray, nuisances: np.ndarray) -> Blocks:
-        """From scaled rows (k, n), (m, n) and the nuisances' (channels, n)."""
-        clear = absorbed(change, nuisances)
-        return cls(absorbed(spread, nuisances) @ spread.T, spread @ clear.T, change @ clear.T)
-
-    def __add__(self, other: Blocks) -> Blocks:
-        return Blocks(self.constants + other.constants, self.cross + other.cross, self.effects + other.effects)
-
-    def gram(self) -> np.ndarray:
-        """(m, m) what the effects change that constants within their uncertainty (unit prior) do not."""
-        inner = np.eye(len(self.constants)) + self.constants
-        return (self.effects - self.cross.T @ np.linalg.solve(inner, self.cross)) / VISIBLE
+def visible(known: np.ndarray, k: int) -> np.ndarray:
+    """(m, m) what the effects change that the k constants within their uncertainty (unit prior) do not, of what runs
+    tell (k + m, k + m); 1 where an effect shows."""
+    cross = known[:k, k:]
+    return (known[k:, k:] - cross.T @ np.linalg.solve(np.eye(k) + known[:k, :k], cross)) / VISIBLE
 
 
 def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]], drawn: Sequence[Belief] = (),
@@ -336,11 +326,11 @@ def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]
     """
     first = base.model(base.x)
     k, m = base.axes.shape[1], len(effects)
-    nothing = Blocks(np.zeros((k, k)), np.zeros((k, m)), np.zeros((m, m)))
+    nothing = np.zeros((k + m, k + m))
     rigs = [first.rig.with_effects((*first.rig.effects, effect)) for _, effect in effects]
 
-    def looked(runs: Sequence[Run]) -> list[tuple[Forecast, list[np.ndarray], Blocks]]:
-        """Per run the forecast, the outputs with each effect, and the blocks."""
+    def looked(runs: Sequence[Run]) -> list[tuple[Forecast, list[np.ndarray], np.ndarray]]:
+        """Per run the forecast, the outputs with each effect, and what it tells (k + m, k + m)."""
         here = planner.forecasts(base, runs)
 
         def outputs_of(rig: Rig) -> list[np.ndarray]:
@@ -350,18 +340,18 @@ def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]
         changed = list(planner.pool.map(outputs_of, rigs))
         found = []
         for r, run in enumerate(runs):
-            outputs, blocks = [every[r] for every in changed], nothing
+            outputs, says = [every[r] for every in changed], nothing
             if np.all(np.isfinite(here[r].mean)):
                 scale = planner.scales(first, run, here[r].mean)
                 change = np.stack([((output - here[r].mean) * scale).ravel() for output in outputs])
                 change[~np.all(np.isfinite(change), axis=1)] = 0.0
                 spread = np.nan_to_num((here[r].spread * scale).reshape(-1, scale.size), posinf=0.0, neginf=0.0)
-                blocks = Blocks.of(spread, change, _nuisances(scale))
-            found.append((here[r], outputs, blocks))
+                says = told(spread, change, _nuisances(scale))
+            found.append((here[r], outputs, says))
         return found
 
-    past = sum((blocks for _, _, blocks in looked(planner.runs[:PAST])), nothing)
-    known = past.gram()
+    past = sum((says for _, _, says in looked(planner.runs[:PAST])), nothing)
+    known = visible(past, k)
     old = np.diag(known)
     before = np.linalg.slogdet(np.eye(m) + known)[1]
 
@@ -369,11 +359,11 @@ def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]
         runs = [trial.as_run(planner.rig) for trial in tried]
         daring = [planner.forecasts(other.still, runs) for other in drawn]
         found = []
-        for r, (trial, run, (here, outputs, blocks)) in enumerate(zip(tried, runs, looked(runs), strict=True)):
+        for r, (trial, run, (here, outputs, says)) in enumerate(zip(tried, runs, looked(runs), strict=True)):
             if not (planner.behaves(trial, here)
                     and all(planner.behaves(trial, forecasts[r], share) for forecasts in daring)):
                 continue
-            both = (past + blocks).gram()
+            both = visible(past + says, k)
             new = np.diag(both)
             shown = int(np.sum((new >= 1.0) & (old < 1.0)))
             e = int(np.argmax(np.log1p(new) - np.log1p(old)))
@@ -414,12 +404,11 @@ def _sigma(search: Selection) -> np.ndarray:
 
 
 def choose(search: Selection, odds: Odds, verdict: Verdict) -> Choice:
-    """What to do next, by sets of causes that were fitted."""
+    """What to do next, by the odds of the sets of causes that were fitted."""
     data = search.predictor.data
     planner = Planner(data.rig, _sigma(search), search.predictor.pool, tests_of(data.runs))
-    fitted = [(keys, p) for keys, p in odds.sets if keys in search.fits]
-    best, top = fitted[0]
-    rivals = [(keys, p) for keys, p in fitted[:LEADING] if p >= UNLIKELY * top]
+    best, top = odds.sets[0]
+    rivals = [(keys, p) for keys, p in odds.sets[:LEADING] if p >= UNLIKELY * top]
     undecidable = None
     if top < SETTLED and len(rivals) > 1 and verdict not in ("not_enough_data", "unexplained"):
         causes = sorted({key for keys, _ in rivals for key in keys})
@@ -438,7 +427,7 @@ def choose(search: Selection, odds: Odds, verdict: Verdict) -> Choice:
     judge = showing(planner, plain, _addable(data.rig, best), [belief(search, fit)])
     plan = _choice(planner.best(judge, trials(data.rig)), planner)
     if undecidable is not None:
-        return Choice(NextExperiment(test=None, why=undecidable), None, plan.next, plan.unseen)
+        return replace(plan, next=NextExperiment(test=None, why=undecidable), prediction=None)
     return plan
 
 

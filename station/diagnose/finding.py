@@ -66,7 +66,7 @@ def bought(search: Selection, best: Causes, key: Key) -> float:
     return search.score(search.fits[best]) - search.score(rest) if rest is not None else 0.0
 
 
-def between_runs(search: Selection, finding: Finding, names: list[str]) -> BetweenRuns:
+def between_runs(search: Selection, finding: Finding) -> BetweenRuns:
     """In what runs differ; each as probable, before what is kept for something unknown, as a further cause would be."""
     found, seen = BetweenRuns(), differences(finding.rough, search.weighing, resamples(search))
     for name, one in zip(("share", "constant"), seen, strict=True):
@@ -77,6 +77,6 @@ def between_runs(search: Selection, finding: Finding, names: list[str]) -> Betwe
                 np.mean(expit(one.log_odds[-RESAMPLES:] + LOG_PRIOR)))
             found.stability[name] = stability
     if found.probability:
-        found.runs = [OwnOfRun(run=name, share=own[2], constant=own[3])
-                      for name, own in zip(names, finding.fit.own.tolist(), strict=True)]
+        found.runs = [OwnOfRun(run=run.name, share=own[2], constant=own[3])
+                      for run, own in zip(search.predictor.data.runs, finding.fit.own.tolist(), strict=True)]
     return found

@@ -27,6 +27,11 @@ from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor
 
 
+def _block_products(one: Sequence[np.ndarray], other: Sequence[np.ndarray]) -> np.ndarray:
+    """(runs, b) sums of the products of two, per run (b, n)."""
+    return np.array([np.sum(a * b, axis=1) for a, b in zip(one, other, strict=True)])
+
+
 @dataclass(frozen=True, eq=False)
 class Change:
     """What is changed in the predictions; b blocks, k parameters and nuisances of the parent."""
@@ -43,8 +48,7 @@ class Change:
         """So many times (m) each of m changes."""
         scaled = [sum(a * c for a, c in zip(sizes, run, strict=True))
                   for run in zip(*(c.scaled for c in changes), strict=True)]
-        return Change(scaled, np.array([np.sum(c * c, axis=1) for c in scaled]),
-                      np.tensordot(sizes, [c.slopes for c in changes], 1))
+        return Change(scaled, _block_products(scaled, scaled), np.tensordot(sizes, [c.slopes for c in changes], 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,9 +88,9 @@ class Linearised:
             raise ArithmeticError("without this effect the rig does not simulate")
         names = set(reduced.names())
         errors = [e - c for e, c in zip(self.errors, change.scaled, strict=True)]
-        squares = np.array([np.sum(e * e, axis=1) for e in errors])
         kept = [i for i, name in enumerate(self.parent.space.names()) if name in names]
-        return replace(self, errors=errors, squares=squares, gradient=self.gradient - change.slopes, kept=kept)
+        return replace(self, errors=errors, squares=_block_products(errors, errors),
+                       gradient=self.gradient - change.slopes, kept=kept)
 
     def change(self, space: Parameters, x: np.ndarray) -> Change | None:
         """What a hypothesis at ``x`` changes in the parent's predictions; None where it does not simulate."""
@@ -97,11 +101,11 @@ class Linearised:
         if not all(np.all(np.isfinite(f)) for f in found):
             return None
         slopes = [(j.transpose(1, 0, 2) @ c[:, :, None])[..., 0] for j, c in zip(parent.jacobian, found, strict=True)]
-        return Change(found, np.array([np.sum(c * c, axis=1) for c in found]), np.array(slopes))
+        return Change(found, _block_products(found, found), np.array(slopes))
 
     def by_errors(self, change: Change) -> np.ndarray:
         """(runs, b) c'e."""
-        return np.array([np.sum(c * e, axis=1) for c, e in zip(change.scaled, self.errors, strict=True)])
+        return _block_products(change.scaled, self.errors)
 
     @cached_property
     def weighed(self) -> _Weighed:

@@ -40,10 +40,10 @@ NORMAL = 1.96
 class Draws:
     """What the data say where they are drawn again; k draws, s stretches, m sets."""
 
-    counts: np.ndarray = field(default_factory=lambda: np.zeros((1, 1)))
+    counts: np.ndarray
     """(k, s) how often each stretch counts."""
-    sets: list[Causes] = field(default_factory=list)
-    posterior: np.ndarray = field(default_factory=lambda: np.zeros((1, 0)))
+    sets: list[Causes]
+    posterior: np.ndarray
     """(k, m) probability of every set."""
 
     def error(self, one: Key, other: Key) -> float:
@@ -77,7 +77,8 @@ class Odds:
     """The same of an effect, at whichever of its places."""
     resampled: tuple[Causes, ...] = ()
     """The best set of every resample."""
-    draws: Draws = field(default_factory=Draws)
+    draws: Draws | None = None
+    """What they are read off; None where they are not of draws."""
 
     def in_its_place(self, best: Causes, cause: Key, among: Causes | None = None) -> float:
         """Share of the resamples that name a cause of the best set or, beside all the others of it, one more in its
@@ -197,8 +198,7 @@ def with_outside(found: Odds) -> Odds:
     """
     inside = 1.0 - OUTSIDE
     return replace(found, sets=[(keys, inside * p) for keys, p in found.sets], nothing=inside * found.nothing,
-                   causes={key: inside * p for key, p in found.causes.items()},
-                   laws={name: inside * p for name, p in found.laws.items()})
+                   causes={key: inside * p for key, p in found.causes.items()})
 
 
 def normalised(scores: dict[Causes, float], stability: dict[Key, float]) -> Odds:
@@ -218,29 +218,26 @@ def _odds(found: Sequence[tuple[Causes, float]], stability: dict[Key, float]) ->
     return Odds(sets, causes, sum(p for keys, p in sets if not keys), stability)
 
 
-def deviation(found: Fit, sigma: dict[str, float], covariance: np.ndarray, path: str) -> float:
-    """How far a constant is from nominal, in its own sigma, given what the others say of a common factor."""
-    paths = found.space.paths
-    i = paths.index(path)
-    shared = [j for j in range(len(paths)) if j != i and covariance[i, j] != 0.0]
-    expected, variance = 0.0, covariance[i, i]
-    if shared:
-        gain = np.linalg.solve(covariance[np.ix_(shared, shared)], covariance[shared, i])
-        expected = float(gain @ found.logs[shared])
-        variance -= float(gain @ covariance[shared, i])
-    return abs(float(found.logs[i]) - expected) / math.sqrt(max(variance, sigma[path] ** 2))
+def deviation(logs: np.ndarray, sigma: float, covariance: np.ndarray, i: int) -> float:
+    """How far constant i of n is from nominal, in its own sigma, given what the others say of a common factor.
+
+    ``logs`` (n): of the constants over nominal; ``covariance`` (n, n): their prior's.
+    """
+    shared = np.flatnonzero((covariance[i] != 0.0) & (np.arange(len(logs)) != i))
+    gain = np.linalg.solve(covariance[np.ix_(shared, shared)], covariance[shared, i])
+    variance = covariance[i, i] - float(gain @ covariance[shared, i])
+    return abs(float(logs[i]) - float(gain @ logs[shared])) / math.sqrt(max(variance, sigma**2))
 
 
 def is_beyond(search: Selection, found: Fit, key: Key) -> bool:
     """Whether a cause may be accused: any effect, and a constant beyond BEYOND of its own sigma."""
     if not key[0].startswith("parameter:"):
         return True
-    rig, path = search.predictor.data.rig, key[0].split(":", 1)[1]
-    paths = list(rig.constants())
-    return deviation(found, {p: rig.sigma(p) for p in paths}, rig.log_covariance(paths), path) > BEYOND
+    rig, path, paths = search.predictor.data.rig, key[0].split(":", 1)[1], found.space.paths
+    return deviation(found.logs, rig.sigma(path), rig.log_covariance(list(paths)), paths.index(path)) > BEYOND
 
 
-def estimates(found: Fit, rougher: Fit | None = None, left_out: Sequence[Fit] = (),
+def estimates(found: Fit, rougher: Fit, left_out: Sequence[Fit],
               ) -> tuple[dict[Key, dict[str, Estimate]], dict[str, Estimate]]:
     """Fitted parameters of each cause, and the rig's constants, with 95 % intervals.
 
@@ -252,8 +249,7 @@ def estimates(found: Fit, rougher: Fit | None = None, left_out: Sequence[Fit] = 
     ``rougher``: the same set fitted with coarser simulations; how far it lies from ``found`` is what the simulation's
     own steps leave uncertain, and is added to the variance.
     """
-    space, covariance = found.space, found.covariance
-    shift = np.zeros(space.size) if rougher is None else found.x - rougher.x
+    space, covariance, shift = found.space, found.covariance, found.x - rougher.x
     found_states = parameter_states(space, covariance, found.x)
     n = len(space.paths)
     nominal = space.rig.constants()
@@ -279,19 +275,17 @@ def estimates(found: Fit, rougher: Fit | None = None, left_out: Sequence[Fit] = 
                                    state=found_states[i], spread=between)
     causes: dict[Key, dict[str, Estimate]] = {}
     for k, coordinate in enumerate(space.coordinates, space.parts["effects"].start):
-        seen = _between(found, np.eye(space.size)[k])
+        direction = np.eye(space.size)[k]
+        seen = _between(found, direction)
         per_step = abs(coordinate.to_value(found.x[k])) if coordinate.log else coordinate.scale
         rounding = math.sqrt(QUANTISATION) / per_step if coordinate.info.rounded else 0.0
-        deviation = math.hypot(max(math.sqrt(seen.covariance[k, k]), jackknife(np.eye(space.size)[k])), shift[k],
-                               rounding)
-        low, value, high = (found.x[k] + s * NORMAL * deviation for s in (-1.0, 0.0, 1.0))
-        ends = (coordinate.to_value(low), coordinate.to_value(value), coordinate.to_value(high))
-        if coordinate.info.periodic and (high - low) * coordinate.scale >= 2.0 * math.pi:
-            ends = (-math.pi, ends[1], math.pi)
+        deviation = math.hypot(max(math.sqrt(seen.covariance[k, k]), jackknife(direction)), shift[k], rounding)
+        low, high = (float(coordinate.to_value(found.x[k] + s * NORMAL * deviation)) for s in (-1.0, 1.0))
+        if coordinate.info.periodic and NORMAL * deviation * coordinate.scale >= math.pi:
+            low, high = -math.pi, math.pi
         causes.setdefault(coordinate.cause, {})[coordinate.name] = Estimate(
-            value=float(ends[1]), low=float(ends[0]), high=float(ends[2]), unit=coordinate.info.unit,
-            state=found_states[k],
-            spread=None if coordinate.info.periodic else _told(seen, per_step))
+            value=float(coordinate.to_value(found.x[k])), low=low, high=high, unit=coordinate.info.unit,
+            state=found_states[k], spread=None if coordinate.info.periodic else _told(seen, per_step))
     for path in space.hypothesis.constants:
         causes[(f"parameter:{path}", "")] = {"value": constants[path]}
     return causes, constants

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from station.diagnose.finding import Finding
 from station.diagnose.odds import Odds
-from station.diagnose.result import RankedCause
+from station.diagnose.result import CHANNELS, RankedCause
 from station.diagnose.selection import Selection
 from station.diagnose.thresholds import NOISE
 from station.diagnose.unseen import Unseen
@@ -22,12 +22,11 @@ def ranking(search: Selection, found: Odds, unseen: Unseen) -> list[RankedCause]
         if not holders:
             rows.append(RankedCause(key[0], key[1], found.causes.get(key, 0.0), 0.0, None, "by an equivalence"))
             continue
-        fitted = search.fits[holders[0]]
-        gained = (unseen_gain(search.weighing, densities[holders[0]] - densities[frozenset()])
-                  if holders[0] in densities and holders[0] else None)
+        keys, fitted = holders[0], search.fits[holders[0]]
+        gained = (unseen_gain(search.weighing, densities[keys] - densities[frozenset()]) if keys in densities else None)
         bought = 2.0 * (search.evidence(fitted) - search.evidence(nothing))
         rows.append(RankedCause(key[0], key[1], found.causes.get(key, 0.0), bought, gained,
-                                "" if len(holders[0]) == 1 else f"as part of {fitted.space.hypothesis.label}"))
+                                "" if len(keys) == 1 else f"as part of {fitted.space.hypothesis.label}"))
     return sorted(rows, key=lambda r: (-round(r.probability, 6), -r.delta_chi2))
 
 
@@ -52,7 +51,7 @@ def notes(rig: Rig, search: Selection, finding: Finding, unseen: Unseen) -> list
         found.append(f"simulated with {data.rig.beam.elements} beam elements; with the {rig.beam.elements} of the "
                      "rig file the mesh's own error would look like physics")
     for r, run in enumerate(data.runs):
-        for c, channel in enumerate(("encoder", "accel")[: data.channels]):
+        for c, channel in enumerate(CHANNELS[: data.channels]):
             if max(left.size[r, c], left.slow[r, c]) > NOISE:
                 found.append(f"{run.name}: {channel} is left with more than noise over the whole run")
     return found

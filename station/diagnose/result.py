@@ -6,10 +6,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from station import __version__, markup
 from station.diagnose.measures import nrmse
@@ -20,6 +20,10 @@ from station.runs.run import Run
 if TYPE_CHECKING:
     from station.pictures.evidence import Evidence
 
+Channel = Literal["encoder", "accel"]
+CHANNELS: tuple[Channel, ...] = ("encoder", "accel")
+Share = Annotated[float, AfterValidator(lambda share: min(share, 1.0))]
+"""At most 1, which a sum of shares may exceed by its rounding errors."""
 Verdict = Literal["explained", "partly_explained", "unexplained", "nothing_missing", "ambiguous", "not_enough_data"]
 
 
@@ -31,7 +35,7 @@ class Wrong(_Table):
     """One thing that the nominal simulation gets wrong."""
 
     run: str
-    channel: Literal["encoder", "accel"]
+    channel: Channel
     measure: str
     simulated: float | None
     measured: float | None
@@ -55,7 +59,7 @@ class Rival(_Table):
 
     effect: str
     at: str
-    probability: float
+    probability: Share
 
 
 class Cause(_Table):
@@ -63,9 +67,9 @@ class Cause(_Table):
 
     effect: str
     at: str
-    probability: float
+    probability: Share
     parameters: dict[str, Estimate]
-    stability: float = 1.0
+    stability: Share = 1.0
     """Share of resamples of the data in which it is named."""
     rivals: list[Rival] = Field(default_factory=list)
 
@@ -152,7 +156,7 @@ class Ranked(_Table):
 
     effect: str
     at: str
-    probability: float
+    probability: Share
     note: str = ""
 
 

@@ -57,14 +57,6 @@ class Screened:
         return {self.candidate.key: self.candidate.sized(self.guess, min(max(self.size, 1e-3), 5.0))}
 
 
-@dataclass(frozen=True)
-class Exchange:
-    """One of a parent's effects, and a cause that could stand in its place."""
-
-    less: Key
-    more: Screened
-
-
 @dataclass(frozen=True, eq=False)
 class _Row:
     """What screening says of a guess, what so many times the guess and its components change in the predictions, and
@@ -101,9 +93,9 @@ def _direction(gram: np.ndarray, slope: np.ndarray) -> np.ndarray:
 
 
 def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
-           ) -> tuple[list[Screened], list[tuple[Screened, Screened]], list[Exchange]]:
-    """All causes at their guesses, best first; pairs expected to gain more than their better half, best first; and what
-    could stand in the place of one of the parent's effects, for each of them best first."""
+           ) -> tuple[list[Screened], list[tuple[Screened, Screened]], dict[Key, list[Screened]]]:
+    """All causes at their guesses, best first; pairs expected to gain more than their better half, best first; and by
+    each of the parent's effects what could stand in its place, best first."""
     known = Linearised.of(predictor, parent)
 
     def row(candidate: Candidate, guesses: Sequence[dict[str, float]], factor: float = 1.0) -> _Row:
@@ -190,11 +182,10 @@ def _pairs(known: Linearised, rows: Sequence[_Row]) -> list[tuple[Screened, Scre
     if len(leading) < 2:
         return []
     gram, slope = known.products([change for row in leading for change in row.changes])
-    ends = np.cumsum([len(row.changes) for row in leading])
-    columns = [list(range(end - len(row.changes), end)) for row, end in zip(leading, ends.tolist(), strict=True)]
+    columns = np.split(np.arange(len(slope)), np.cumsum([len(row.changes) for row in leading])[:-1])
     pairs = []
     for (one, mine), (other, its) in combinations(zip(leading, columns, strict=True), 2):
-        both = mine + its
+        both = np.concatenate([mine, its])
         with suppress(np.linalg.LinAlgError):
             sizes = np.linalg.solve(gram[np.ix_(both, both)], slope[both])
             gain = float(slope[both] @ sizes)
@@ -205,11 +196,11 @@ def _pairs(known: Linearised, rows: Sequence[_Row]) -> list[tuple[Screened, Scre
     return sorted(pairs, key=lambda pair: -pair[0].gain)
 
 
-def _in_place(known: Linearised, rows: Sequence[_Row]) -> list[Exchange]:
+def _in_place(known: Linearised, rows: Sequence[_Row]) -> dict[Key, list[Screened]]:
     """What could stand in the place of each effect of a parent; of a single one the same law elsewhere alone, for the
     others were looked at before."""
-    space, found = known.parent.space, []
-    hypothesis, data = space.hypothesis, known.predictor.data
+    space, hypothesis, data = known.parent.space, known.parent.space.hypothesis, known.predictor.data
+    found: dict[Key, list[Screened]] = {}
     for less in [(cls.name, at) for cls, at in hypothesis.effects]:
         with suppress(*DIVERGED):
             reduced = known.without(parameters(data, hypothesis.without(less), space.values(space.mean)))
@@ -223,7 +214,7 @@ def _in_place(known: Linearised, rows: Sequence[_Row]) -> list[Exchange]:
                                     float(sizes @ gram @ sizes), float(slope @ sizes))
                     if key not in others or one.gain > others[key].gain:
                         others[key] = replace(one, size=row.factor * one.size)
-            found += [Exchange(less, one) for one in sorted(others.values(), key=lambda one: -one.gain)]
+            found[less] = sorted(others.values(), key=lambda one: -one.gain)
     return found
 
 

@@ -251,8 +251,8 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], far: list[Star
         rigid, search.stiffest = rigid_starts(predictor, parent, pool, search.stiffest)
     for far_start in [*rigid, *far]:
         jobs.append((f"{far_start.candidate.hypothesis.label}, far from nominal", -np.inf, far_start))
-    for less in sorted({exchange.less for exchange in exchanges}):
-        others = [e.more for e in exchanges if e.less == less and e.more.gain > WORTH_A_FIT]
+    for less in sorted(exchanges):
+        others = [one for one in exchanges[less] if one.gain > WORTH_A_FIT]
         moved = [one for one in others[effort.exchanged:] if one.candidate.key[0] == less[0]]
         for other in [*others[: effort.exchanged], *moved]:
             add((other,), less)

@@ -93,7 +93,7 @@ def rigid_starts(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
     slow, sizes = replace(predictor, observers=predictor.observers[-1:]), parent.space.values(parent.space.mean)
 
     def held(candidate: Candidate, sigmas: float) -> _Held:
-        path, nominal = candidate.hypothesis.constants[0], slow.data.rig.constants()
+        path, nominal = candidate.constant, slow.data.rig.constants()
         rig = slow.data.rig.with_constants({path: nominal[path] * math.exp(sigmas * WIDE)})
         stiff = slow.on(replace(slow.data, rig=rig))
         space = parameters(stiff.data, parent.space.hypothesis, sizes, fixed=(path,))
@@ -111,7 +111,7 @@ def rigid_starts(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
         ends = predictor.pool.map(methodcaller("followed", seconds), tried)
         tried = [replace(one, **end) for one, end in zip(tried, ends, strict=True)]
         best = {one.candidate: one for one in sorted(tried, key=lambda one: -one.objective)}
-        stiffest = stiffest or {one.candidate.hypothesis.constants[0]: one.sigmas for one in best.values()}
+        stiffest = stiffest or {one.candidate.constant: one.sigmas for one in best.values()}
         tried = [one for one in best.values() if one.objective < least]
 
     def start(one: _Held) -> Start:
@@ -176,6 +176,6 @@ def _cost(part: Predictor, space: Parameters, x: np.ndarray, weighing: Weighing)
 def _placed(space: Parameters, candidate: Candidate, sigmas: float, x: np.ndarray) -> np.ndarray:
     """``x`` (p) with the candidate's constant so far from nominal."""
     x, logs = x.copy(), space.logs(x)
-    logs[space.paths.index(candidate.hypothesis.constants[0])] = sigmas * WIDE
+    logs[space.paths.index(candidate.constant)] = sigmas * WIDE
     x[space.parts["constants"]] = np.linalg.solve(space.root, logs)
     return x

@@ -12,9 +12,9 @@ from station.diagnose.validation import (
     contradicted,
     leave_each_out,
     log_densities,
+    nominal,
     predicted_ahead,
     relief,
-    simulate_runs,
     simulate_unseen,
 )
 from station.estimation.least_squares import Fit
@@ -50,15 +50,15 @@ class Unseen:
 def unseen(search: Selection, finding: Finding) -> Unseen:
     """Fit the causes that are said and the rig alone again without each run in turn, and judge them by that run."""
     predictor, nothing, causes = search.predictor, search.fits[frozenset()], finding.said.causes
-    data = predictor.data
+    unfitted = [nominal(predictor.data, nothing)] * len(predictor.data.runs)
     left_out = {causes: leave_each_out(predictor, finding.fit.weighing, finding.fit)}
-    left_out.setdefault(frozenset(), leave_each_out(predictor, search.own_weighing(nothing), nothing))
+    if causes:
+        left_out[frozenset()] = leave_each_out(predictor, search.own_weighing(nothing), nothing)
     alone, said = left_out[frozenset()], left_out[causes]
     refit = simulate_unseen(predictor, alone)
     densities = {keys: log_densities(predictor, search.weighing, fits) for keys, fits in left_out.items()}
     relieved = (relief(alone, said) + search.clock_score(finding.fit.space.hypothesis)
                 - search.clock_score(nothing.space.hypothesis))
     return Unseen(said, densities, densities[causes] - densities[frozenset()], relieved,
-                  (simulate_runs(data, nothing.space, np.zeros(nothing.space.size), data.own), refit,
-                   simulate_unseen(predictor, said) if causes else refit),
-                  (predicted_ahead(predictor, nothing, nominal=True), predicted_ahead(predictor, said)))
+                  (simulate_unseen(predictor, unfitted), refit, simulate_unseen(predictor, said) if causes else refit),
+                  (predicted_ahead(predictor, unfitted), predicted_ahead(predictor, said)))

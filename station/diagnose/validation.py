@@ -10,13 +10,12 @@ from dataclasses import replace
 import numpy as np
 
 from station.diagnose.measures import floor, nrmse, repeats, step_figures
-from station.diagnose.result import ChannelGain, Gain, RunGain
+from station.diagnose.result import CHANNELS, ChannelGain, Gain, RunComparison, RunGain
 from station.diagnose.thresholds import EXPLAINABLE, UNSEEN
 from station.estimation.dataset import Dataset
 from station.estimation.least_squares import DIVERGED, Fit, fit, own_steps
 from station.estimation.likelihood import Weighing, cost, nuisance_precision
 from station.estimation.observer import observers
-from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor, angle_that_reads, predict_run
 from station.model.simulate import Model, Simulation, build, simulate_model
 
@@ -24,7 +23,6 @@ AHEAD = (0.1, 1.0)
 """Seconds ahead that predictions are told for."""
 UNKNOWN_AHEAD = 0.5
 """The same where a run's controller is unknown, so that no whole closed loop can be simulated."""
-CHANNELS = ("encoder", "accel")
 OWN_STEPS = 8
 """Most steps to what a run has of its own."""
 
@@ -84,14 +82,13 @@ def settled_run(data: Dataset, model: Model, run: int, own: np.ndarray, differ: 
     return whole_run(data, model, run, own, zero=zero, place=place)
 
 
-def simulate_runs(data: Dataset, space: Parameters, x: np.ndarray, own: np.ndarray) -> list[Simulation]:
-    """Every run on the rig of a parameter vector (exact model, whole counts)."""
-    model = build(space.rig_at(x))
-    return [settled_run(data, model, r, own[r], zero=space.zero(x, data.zero_group[r]), place=space.place(x, r))
-            for r in range(len(data.runs))]
+def nominal(data: Dataset, found: Fit) -> Fit:
+    """The rig as its file says, in a fit's place: runs have of their own what was read, and do not differ otherwise."""
+    return replace(found, x=np.zeros(found.space.size), own=data.own,
+                   weighing=replace(found.weighing, differ=(0.0, 0.0)))
 
 
-def leave_each_out(predictor: Predictor, weighing: Weighing, found: Fit, iterations: int = 6) -> list[Fit]:
+def leave_each_out(predictor: Predictor, weighing: Weighing, found: Fit) -> list[Fit]:
     """For every run a fit that leaves that run out.
 
     Begun from the fit of all runs, since the way from the prior ends in side valleys; what the left-out run alone had
@@ -103,7 +100,7 @@ def leave_each_out(predictor: Predictor, weighing: Weighing, found: Fit, iterati
         weights[r] = 0.0
         with suppress(*DIVERGED):
             left = fit(predictor, found.space, weighing, found.x, found.own, runs=weights,
-                       jacobian=found.jacobian, iterations=iterations, renewals=2).light
+                       jacobian=found.jacobian, iterations=6, renewals=2).light
             return replace(left, x=found.space.with_own_of(left.x, found.x, r, predictor.data.zero_group))
         return found.light
 
@@ -111,7 +108,7 @@ def leave_each_out(predictor: Predictor, weighing: Weighing, found: Fit, iterati
 
 
 def simulate_unseen(predictor: Predictor, left_out: Sequence[Fit]) -> list[Simulation]:
-    """Every run, simulated by the fit that left that run out."""
+    """Every run, simulated by the fit that left that run out (exact model, whole counts)."""
     data = predictor.data
 
     def one(r: int) -> Simulation:
@@ -121,18 +118,15 @@ def simulate_unseen(predictor: Predictor, left_out: Sequence[Fit]) -> list[Simul
     return list(predictor.pool.map(one, range(len(data.runs))))
 
 
-def predicted_ahead(predictor: Predictor, fits: Sequence[Fit] | Fit, nominal: bool = False) -> list[dict[str, float]]:
-    """Per run the encoder's nrmse of predictions AHEAD seconds ahead, by a fit for each run (or one for all)."""
+def predicted_ahead(predictor: Predictor, left_out: Sequence[Fit]) -> list[dict[str, float]]:
+    """Per run the encoder's nrmse of predictions AHEAD seconds ahead, by the fit that left that run out."""
     data = predictor.data
     watched = observers(data.rig, data.noise[0], AHEAD)
 
     def one(r: int) -> dict[str, float]:
-        left = fits if isinstance(fits, Fit) else fits[r]
-        x = np.zeros_like(left.x) if nominal else left.x
-        model, zero = build(left.space.rig_at(x)), left.space.zero(x, data.zero_group[r])
-        run, rows = data.runs[r], data.windows[r]
-        made, _ = predict_run(data, model, watched, r, data.own[r] if nominal else left.own[r], zero=zero,
-                              place=left.space.place(x, r))
+        left, run, rows = left_out[r], data.runs[r], data.windows[r]
+        made, _ = predict_run(data, build(left.space.rig_at(left.x)), watched, r, left.own[r],
+                              zero=left.space.zero(left.x, data.zero_group[r]), place=left.space.place(left.x, r))
         return {f"{seconds:g} s": nrmse(run.encoder[rows], angle[rows])
                 for seconds, angle in zip(AHEAD, made[:, 0], strict=True)}
     return list(predictor.pool.map(one, range(len(data.runs))))
@@ -218,25 +212,30 @@ def contradicted(gains: np.ndarray, relieved: float) -> bool:
     return not float(gains.sum()) + relieved >= UNSEEN * standard_error(gains)     # what is no number does not help
 
 
-def gain(data: Dataset, names: Sequence[str], before: Sequence[Simulation], after: Sequence[Simulation],
-         ahead: tuple[Sequence[dict[str, float]], Sequence[dict[str, float]]], parts: Sequence[slice]) -> Gain:
+def gain(data: Dataset, comparisons: Sequence[RunComparison], after: Sequence[Simulation],
+         ahead: tuple[Sequence[dict[str, float]], Sequence[dict[str, float]]]) -> Gain:
     """The diagnosis file's gain: nrmse over all held-out runs and the share of the explainable error removed.
 
-    ``ahead``: per run the errors of predictions so far ahead, before and after (``predicted_ahead``); ``parts``: the
-    rows of each run that steps are judged by.
+    ``ahead``: per run the errors of predictions so far ahead, before and after (``predicted_ahead``).
     """
-    found, fractions, between = {}, [], repeats(data.runs)
-    runs = [RunGain(run=name, seconds_ahead=seconds_ahead(data, r), repeats=between[r]) for r, name in enumerate(names)]
-    for c, channel in enumerate(CHANNELS[: data.channels]):
+    found, fractions, runs = {}, [], []
+    for c, made, old, new, between in zip(comparisons, after, *ahead, repeats(data.runs), strict=True):
+        runs.append(RunGain(run=c.run.name, seconds_ahead=c.seconds_ahead, repeats=between,
+                            measured=step_figures(c.run, c.run.encoder, c.part),
+                            before=step_figures(c.run, c.before.encoder, c.part),
+                            after=step_figures(c.run, made.encoder, c.part),
+                            ahead={time: ChannelGain(nrmse_before=old[time], nrmse_after=new[time])
+                                   for time in old if np.isfinite([old[time], new[time]]).all()}))
+    for channel, sigma in zip(CHANNELS[: data.channels], data.noise, strict=False):
         spread = error_before = error_after = explained = explainable = 0.0
-        for r, (run, rows, old, new) in enumerate(zip(data.runs, data.windows, before, after, strict=True)):
-            measured = getattr(run, channel)[rows]
+        for one, c, rows, made in zip(runs, comparisons, data.windows, after, strict=True):
+            measured = getattr(c.run, channel)[rows]
             size = float(np.sum((measured - measured.mean()) ** 2))
             if size == 0.0:
                 continue
-            least = floor(measured, data.noise[c])
-            b, a = nrmse(measured, getattr(old, channel)[rows]), nrmse(measured, getattr(new, channel)[rows])
-            setattr(runs[r], channel, ChannelGain(nrmse_before=b, nrmse_after=a))
+            least = floor(measured, sigma)
+            b, a = (nrmse(measured, getattr(simulation, channel)[rows]) for simulation in (c.before, made))
+            setattr(one, channel, ChannelGain(nrmse_before=b, nrmse_after=a))
             spread += size
             error_before += b * b * size
             error_after += a * a * size
@@ -248,10 +247,5 @@ def gain(data: Dataset, names: Sequence[str], before: Sequence[Simulation], afte
                                          nrmse_after=float(np.sqrt(error_after / spread)))
         if explainable:
             fractions.append(explained / explainable)
-    for r, (run, old, new) in enumerate(zip(data.runs, before, after, strict=True)):
-        runs[r].measured, runs[r].before, runs[r].after = (step_figures(run, s.encoder, parts[r])
-                                                           for s in (run, old, new))
-        runs[r].ahead = {k: ChannelGain(nrmse_before=ahead[0][r][k], nrmse_after=ahead[1][r][k])
-                         for k in ahead[0][r] if np.isfinite([ahead[0][r][k], ahead[1][r][k]]).all()}
-    return Gain(held_out=list(names), encoder=found.get("encoder"), accel=found.get("accel"), runs=runs,
+    return Gain(held_out=[one.run for one in runs], encoder=found.get("encoder"), accel=found.get("accel"), runs=runs,
                 explained_fraction=float(np.mean(fractions)) if fractions else None)

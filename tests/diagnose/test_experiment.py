@@ -12,7 +12,6 @@ from station.control.named import NAMED
 from station.control.references import reference_from_test
 from station.diagnose.experiment import (
     Belief,
-    Blocks,
     Planner,
     Worth,
     _telling,
@@ -20,6 +19,8 @@ from station.diagnose.experiment import (
     between,
     first_test,
     showing,
+    told,
+    visible,
 )
 from station.diagnose.result import Prediction
 from station.diagnose.thresholds import VISIBLE
@@ -141,14 +142,14 @@ def test_what_the_runs_so_far_have_shown_is_worth_less(planner):
     assert large.prediction.names == ("plain", "with clipping")
 
 
-def test_blocks_of_runs_add_up_to_what_all_of_them_say_together():
+def test_runs_add_up_to_what_all_of_them_say_together():
     rng = np.random.default_rng(2)
     spread, change, nuisance = rng.normal(size=(3, 40)), rng.normal(size=(2, 40)), rng.normal(size=(2, 20))
-    parts = [Blocks.of(spread[:, half], change[:, half], nuisance) for half in (slice(20), slice(20, None))]
+    parts = [told(spread[:, half], change[:, half], nuisance) for half in (slice(20), slice(20, None))]
     apart = np.zeros((4, 40))
     apart[:2, :20] = apart[2:, 20:] = nuisance
     whole = absorbed(change, np.concatenate([spread, apart])) @ change.T / VISIBLE
-    assert np.allclose((parts[0] + parts[1]).gram(), whole)
+    assert np.allclose(visible(parts[0] + parts[1], 3), whole)
 
 
 def worth(trial: Trial, value: float, cost: float) -> Worth:

@@ -141,11 +141,9 @@ def test_a_constant_is_accused_beyond_three_of_its_own_sigmas_only(sigmas: float
 
 
 def test_a_common_factor_that_the_others_show_is_no_deviation_of_one() -> None:
-    found = SimpleNamespace(space=SimpleNamespace(paths=("a", "b")), logs=np.array([0.4, 0.4]))
     shared = np.array([[0.0101, 0.01], [0.01, 0.0101]])
-    sigma = {"a": 0.01, "b": 0.01}
-    apart = SimpleNamespace(space=found.space, logs=np.array([0.4, 0.0]))
-    assert module.deviation(found, sigma, shared, "a") < 1.0 < BEYOND < module.deviation(apart, sigma, shared, "a")
+    together, apart = (module.deviation(np.array(logs), 0.01, shared, 0) for logs in ([0.4, 0.4], [0.4, 0.0]))
+    assert together < 1.0 < BEYOND < apart
 
 
 def torn(motor: float, base: float, nothing: float = 0.0) -> Odds:
@@ -189,7 +187,7 @@ def test_a_level_at_which_readings_stand_still_is_known_no_better_than_their_rou
         predictor = Predictor(dataset(AXIS, runs_of(AXIS)), observers(AXIS, 0.0), Pool())
         space = parameters(predictor.data, Hypothesis(((bias, at),)), {("command_bias", at): {"offset": 1.0}})
         found = fit(predictor, space, Weighing(predictor.counts, 1.0), space.mean)
-        offset = estimates(found)[0]["command_bias", at]["offset"]
+        offset = estimates(found, found, [])[0]["command_bias", at]["offset"]
         return offset.high - offset.low
 
     plain = width()

@@ -10,7 +10,7 @@ import pytest
 
 from station.diagnose import screening
 from station.diagnose.candidates import Candidate, candidates
-from station.diagnose.screening import Exchange, screen
+from station.diagnose.screening import Screened, screen
 from station.diagnose.selection import begun
 from station.estimation.constants import base_fit, unknown
 from station.estimation.least_squares import Fit, fit, weighing_of
@@ -39,7 +39,7 @@ def fitted(predictor: Predictor, pool: Sequence[Candidate], causes: Sequence[Key
     return fit(predictor, space, weighing_of(predictor, first), first.x, first.own)
 
 
-def exchanges(predictor: Predictor, causes: Sequence[Key]) -> tuple[Fit, list[Exchange]]:
+def exchanges(predictor: Predictor, causes: Sequence[Key]) -> tuple[Fit, dict[Key, list[Screened]]]:
     pool = candidates(predictor.data.rig)
     parent = fitted(predictor, pool, causes)
     return parent, screen(predictor, parent, [c for c in pool if c.key not in parent.key])[2]
@@ -49,11 +49,10 @@ def test_what_should_stand_in_a_causes_place_is_found_beside_the_other() -> None
     """A dead zone was taken for a curve beside friction: a parent that has the curve need not lead to it."""
     predictor = hiding(RIGID_AXIS, 8361, [DEAD_ZONE, FRICTION])
     parent, found = exchanges(predictor, [CURVE, FRICTION])
-    instead = [one for one in found if one.less == CURVE]
-    assert {one.less for one in found} == {CURVE, FRICTION}
-    assert instead[0].more.candidate.key == DEAD_ZONE
-    assert all(one.more.candidate.key not in parent.key for one in found)
-    exchanged = begun(predictor, parent, [instead[0].more], CURVE)
+    assert set(found) == {CURVE, FRICTION}
+    assert found[CURVE][0].candidate.key == DEAD_ZONE
+    assert all(one.candidate.key not in parent.key for others in found.values() for one in others)
+    exchanged = begun(predictor, parent, found[CURVE][:1], CURVE)
     assert exchanged is not None and exchanged.key == {DEAD_ZONE, FRICTION}
     assert exchanged.objective < parent.objective - 10.0
 
@@ -62,7 +61,8 @@ def test_of_a_single_cause_the_same_law_elsewhere_alone_is_looked_at() -> None:
     """The others were looked at when nothing was in the set yet."""
     predictor = hiding(TWO_MASS, 8062, [FRICTION])
     _, found = exchanges(predictor, [FRICTION])
-    assert [(one.less, one.more.candidate.key) for one in found] == [(FRICTION, ("coulomb_friction", "base"))]
+    assert set(found) == {FRICTION}
+    assert [one.candidate.key for one in found[FRICTION]] == [("coulomb_friction", "base")]
 
 
 @pytest.mark.parametrize("angle", [0.8, 2.4, -0.9, -2.3])
