@@ -33,9 +33,6 @@ STATES = {"determined": "determined by these runs", "at_bound": "at a bound",
           "traded_off": "known only together with another",
           "not_excited": "not told by these runs; known only as it was beforehand"}
 
-LIKE_NOISE = 1.1
-"""Times the standard deviation of a reading up to which a residual is no larger than noise: a tenth more."""
-
 _PREFIX = "parameter:"
 _LATENCY = {"input_delay", "encoder_delay"}
 """Delays of which a loop shows the sum."""
@@ -326,13 +323,13 @@ def leaves_noise(diagnosis: Diagnosis) -> bool:
     return diagnosis.outside == 0.0
 
 
-def residual_words(scatter: float, noise: float, white: bool, followed: int) -> str:
+def residual_words(larger: bool, white: bool, followed: int) -> str:
     """What a residual one sample ahead looks like.
 
-    ``scatter`` and ``noise``: its standard deviation and that of a reading, counts; ``white``: whether its lags pass
-    for white noise; ``followed``: the lags at which an earlier command shows.
+    ``larger``: than the noise; ``white``: whether its lags pass for white noise; ``followed``: the lags at which an
+    earlier command shows.
     """
-    if scatter <= LIKE_NOISE * noise:
+    if not larger:
         return "noise" if white and not followed else "no larger than the noise"
     return f"larger than the noise{', and it follows the command' if followed else ''}"
 
@@ -359,8 +356,18 @@ def no_test(diagnosis: Diagnosis) -> str:
 
 def gain_rows(diagnosis: Diagnosis) -> list[tuple[str, ChannelGain]]:
     """The gain per channel, in words, of the channels that have one."""
-    pairs = ((CHANNELS[name], getattr(diagnosis.gain, name)) for name in ("encoder", "accel"))
+    pairs = ((words, getattr(diagnosis.gain, name)) for name, words in CHANNELS.items())
     return [(name, gain) for name, gain in pairs if gain is not None]
+
+
+def ahead_times(diagnosis: Diagnosis) -> list[str]:
+    """The times ahead that gains are told for."""
+    return list(dict.fromkeys(time for row in diagnosis.gain.runs for time in row.ahead))
+
+
+def any_step(diagnosis: Diagnosis) -> bool:
+    """Whether a run is a step test."""
+    return any(row.measured for row in diagnosis.gain.runs)
 
 
 def step_words(measures: dict[str, float | None], repeats: Mapping[str, float] = MappingProxyType({})) -> str:
