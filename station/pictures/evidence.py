@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import signal
@@ -160,8 +160,8 @@ def _estimates(cause: _Cause, at: str) -> list[MissingTorque]:
 
 def _joined(found: Sequence[MissingTorque]) -> MissingTorque:
     """The rows of all runs, one run after the other, with the first run's step and mistrust."""
-    rows = {name: np.concatenate([getattr(m, name) for m in found])
-            for name, first in vars(found[0]).items() if isinstance(first, np.ndarray)}
+    rows: dict[str, Any] = {name: np.concatenate([getattr(m, name) for m in found])
+                            for name, first in vars(found[0]).items() if isinstance(first, np.ndarray)}
     return replace(found[0], by_accel=any(m.by_accel for m in found), **rows)
 
 
