@@ -70,11 +70,23 @@ class ConstantRow:
     value: float
     sigma: float
 
-    @property
-    def sigmas(self) -> float:
-        """Distance from the rig file's value in its stated standard deviations."""
-        ratio = self.value / self.nominal
+    def away(self, value: float) -> float:
+        """Distance of a value from the rig file's in its stated standard deviations."""
+        ratio = value / self.nominal
         return math.log(ratio) / self.sigma if ratio > 0.0 and self.sigma > 0.0 else math.inf
+
+    @property
+    def span(self) -> list[float] | None:
+        """The interval on the drawing, where it has one."""
+        if self.estimate is None:
+            return None
+        ends = sorted((self.away(self.estimate.low), self.away(self.estimate.high)))
+        return [self.clip(end) for end in ends] if all(map(math.isfinite, ends)) else None
+
+    @staticmethod
+    def clip(sigmas: float) -> float:
+        """A place on the drawing, which spans four standard deviations either way."""
+        return min(max(sigmas, -3.9), 3.9)
 
 
 class _Page:
@@ -152,8 +164,8 @@ class _Page:
     def ranking(self) -> list[tuple[Any, str]]:
         """The candidates and why each stands where it does."""
         named = {(c.effect, c.at) for c in self.diagnosis.causes}
-        first = self.result.ranking[0] if self.result.ranking else None
-        return [(c, wording.why_lost(c, first, (c.effect, c.at) in named)) for c in self.result.ranking[:MAX_RANKED]]
+        ranking = self.result.ranking
+        return [(c, wording.why_lost(c, ranking[0], (c.effect, c.at) in named)) for c in ranking[:MAX_RANKED]]
 
     @property
     def first_ranked(self) -> int:
@@ -210,21 +222,6 @@ class _Page:
     def panels(self) -> int:
         """Channels drawn in the figures of what remains."""
         return len({r.channel for r in self.residuals})
-
-    @staticmethod
-    def clip(sigmas: float) -> float:
-        """A place on the drawing of constants, which spans four standard deviations either way."""
-        return min(max(sigmas, -3.9), 3.9)
-
-    def span(self, row: ConstantRow) -> tuple[float, float] | None:
-        """The interval of a constant on that drawing, where it has one."""
-        if row.estimate is None or row.sigma <= 0.0:
-            return None
-        ratios = (row.estimate.low / row.nominal, row.estimate.high / row.nominal)
-        if min(ratios) <= 0.0 or not all(map(math.isfinite, ratios)):
-            return None
-        low, high = sorted(self.clip(math.log(r) / row.sigma) for r in ratios)
-        return low, high
 
     @property
     def rig_changes(self) -> list[tuple[str, str]]:

@@ -56,7 +56,7 @@ def print_diagnosis(result: DiagnosisResult, console: Console, rig: str = "RIG")
     if gone := wording.gone(found):
         console.print(wording.sentence(f"on runs that no fit has seen, {gone}"))
     if found.next_experiment is not None:
-        for line in f"Next: {wording.next_test(found.next_experiment, rig=rig)}".splitlines():
+        for line in f"Next: {wording.next_test(found.next_experiment, rig)}".splitlines():
             console.print(_plain(line), soft_wrap=True)
 
 

@@ -281,9 +281,9 @@ def run_command(test: dict[str, Any], port: str = "PORT", rig: str = "RIG") -> s
     return shlex.join([*words, "--out", f"{name}.mcap"])
 
 
-def next_test(asked: NextExperiment, port: str = "PORT", rig: str = "RIG") -> str:
+def next_test(asked: NextExperiment, rig: str) -> str:
     """The next experiment as a sentence: the command to type, and why."""
-    words = f"{run_command(asked.test, port, rig)}\n" if asked.test else ""
+    words = f"{run_command(asked.test, rig=rig)}\n" if asked.test else ""
     return f"{words}{sentence(plain(asked.why))}"
 
 
@@ -418,7 +418,7 @@ def between_runs(diagnosis: Diagnosis) -> str:
             "whose voltage differs between tests does that.")
 
 
-def why_lost(cause: RankedCause, first: RankedCause | None, named: bool) -> str:
+def why_lost(cause: RankedCause, first: RankedCause, named: bool) -> str:
     """Why a candidate stands where it does: its own note, or what the numbers say."""
     if named:
         return "named as a cause"
@@ -430,15 +430,15 @@ def why_lost(cause: RankedCause, first: RankedCause | None, named: bool) -> str:
         return _beside(cause, first)
     if cause.held_out_gain is not None and cause.held_out_gain <= 0.0:
         return "does not help on unseen runs"
-    if first is not None and first.delta_chi2 - cause.delta_chi2 > 4.0:
+    if first.delta_chi2 - cause.delta_chi2 > 4.0:
         return f"explains less: 2 Δln L is {number(first.delta_chi2 - cause.delta_chi2)} below the first's"
     return "as good as the first on these runs" if cause.probability > 0.1 else "no better than the first"
 
 
-def _beside(cause: RankedCause, first: RankedCause | None) -> str:
+def _beside(cause: RankedCause, first: RankedCause) -> str:
     """A candidate's note; where it was tried beside the first, also what it adds to that one."""
     note = plain(cause.note)
-    if first is None or not note.startswith("as part of") or cause_title(first.effect, first.at) not in note:
+    if not note.startswith("as part of") or cause_title(first.effect, first.at) not in note:
         return note
     more = cause.delta_chi2 - first.delta_chi2
     return f"{note}: adds {f'{number(more)} to 2 Δln L, too little' if more > 1.0 else 'nothing to 2 Δln L'}"
