@@ -216,6 +216,12 @@ class RunComparison:
                        metadata=self.run.metadata.model_copy(update={"zero_id": "absolute"}))
 
     @property
+    def channels(self) -> list[str]:
+        """The channels that were measured and simulated."""
+        return [c for c in ("encoder", "accel") if getattr(self.run, c) is not None
+                and getattr(self.before, c) is not None]
+
+    @property
     def rows(self) -> np.ndarray:
         """(n) rows of that part that were logged."""
         rows = np.zeros(len(self.run), dtype=bool)

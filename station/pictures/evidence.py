@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import signal
@@ -87,8 +87,8 @@ def _sceptics_view(found: MissingTorque, run: Run) -> list[Evidence]:
     if found.mistrust > 1.0:
         note += (f" No torque there explains the accelerometer, which was taken {found.mistrust:g} times noisier than "
                  "at rest.")
-    what = "Torque missing at the motor, against", "torque missing at the motor"
-    views = [_thin(f"{what[0]} {kind}", kind, label, f"{what[1]} (N m)", x, found.torque, note=note)
+    title, label_y = "Torque missing at the motor, against", "torque missing at the motor"
+    views = [_thin(f"{title} {kind}", kind, label, f"{label_y} (N m)", x, found.torque, note=note)
              for kind, label, x in (("time", "time (s)", found.t), ("speed", "motor speed (rad/s)", found.speed),
                                     ("angle", "motor angle (rad)", found.angle),
                                     ("command", "command (counts)", found.command),
@@ -96,7 +96,7 @@ def _sceptics_view(found: MissingTorque, run: Run) -> list[Evidence]:
     rate = 1.0 / (found.t[1] - found.t[0])
     frequency, density = signal.welch(found.torque, rate, nperseg=min(512, len(found.t)))
     shown = (frequency > 0.0) & (frequency < 0.25 * rate)
-    return [*views, _thin(f"{what[0]} frequency", "spectrum", "frequency (Hz)", f"{what[1]} (N m/√Hz)",
+    return [*views, _thin(f"{title} frequency", "spectrum", "frequency (Hz)", f"{label_y} (N m/√Hz)",
                           frequency[shown], np.sqrt(density[shown]), note=note)]
 
 
@@ -158,16 +158,17 @@ def _estimates(cause: _Cause, at: str) -> list[MissingTorque]:
     return [missing_torque(cause.without, run, at, accelerometer=False) for run in cause.runs]
 
 
-def _joined(found: Sequence[MissingTorque], pick: Callable[[MissingTorque], np.ndarray]) -> np.ndarray:
-    return np.concatenate([pick(m) for m in found])
+def _joined(found: Sequence[MissingTorque]) -> MissingTorque:
+    """The rows of all runs, one run after the other, with the first run's step and mistrust."""
+    rows: dict[str, Any] = {name: np.concatenate([getattr(m, name) for m in found])
+                            for name, first in vars(found[0]).items() if isinstance(first, np.ndarray)}
+    return replace(found[0], by_accel=any(m.by_accel for m in found), **rows)
 
 
-def _torque_note(cause: _Cause, found: Sequence[MissingTorque], line: str = "Line: the fitted law.") -> str:
-    alone = ("" if cause.extended.accelerometer is None or any(m.by_accel for m in found) else
-             ", by command and encoder alone,")
+def _torque_note(cause: _Cause, found: MissingTorque, line: str = "Line: the fitted law.") -> str:
+    alone = "" if cause.extended.accelerometer is None or found.by_accel else ", by command and encoder alone,"
     return (f"Points: torque smoothed from {_count(cause.runs)}{alone} against the extended rig without this effect, "
-            f"its shape not assumed; standard deviation {np.median(_joined(found, lambda m: m.sigma)):.2g} N m, jumps "
-            f"rounded. {line}")
+            f"its shape not assumed; standard deviation {np.median(found.sigma):.2g} N m, jumps rounded. {line}")
 
 
 def _count(runs: Sequence[Run]) -> str:
@@ -184,9 +185,9 @@ def _grid(x: np.ndarray) -> np.ndarray:
 
 def _torque(cause: _Cause, effect: Effect) -> list[Evidence]:
     """Missing torque at a part against its speed or angle."""
-    found = _estimates(cause, effect.at)
+    found = _joined(_estimates(cause, effect.at))
     by_speed = effect.picture == "speed"
-    x = _joined(found, lambda m: m.speed if by_speed else m.angle)
+    x = found.speed if by_speed else found.angle
     grid, law = _grid(x), None
     if not effect.states:
         if effect.stage is Stage.FRICTION:
@@ -196,8 +197,7 @@ def _torque(cause: _Cause, effect: Effect) -> list[Evidence]:
     label = f"{effect.at} speed (rad/s)" if by_speed else f"{effect.at} angle (rad)"
     rest = " At rest anything between its two sides may hold." if effect.stage is Stage.FRICTION else ""
     return [_thin(f"Torque missing at the {effect.at}, against its {effect.picture}: {cause.title}", effect.picture,
-                  label, "missing torque (N m)", x, _joined(found, lambda m: m.torque), law,
-                  _torque_note(cause, found) + rest)]
+                  label, "missing torque (N m)", x, found.torque, law, _torque_note(cause, found) + rest)]
 
 
 def _torque_in_time(cause: _Cause, effect: Effect) -> list[Evidence]:
@@ -209,23 +209,22 @@ def _torque_in_time(cause: _Cause, effect: Effect) -> list[Evidence]:
         law = -np.sign(worst.speed) * law_values(cause.extended, effect, np.abs(worst.speed), 0.0, np.abs(worst.load))
     else:
         law = law_values(cause.extended, effect, worst.angle, worst.speed)
-    note = _torque_note(cause, found, "The run that misses most. Line: the fitted law along its motion.")
+    note = _torque_note(cause, _joined(found), "The run that misses most. Line: the fitted law along its motion.")
     return [_thin(f"Torque missing at the {at}, against time: {cause.title}", "time", "time (s)",
                   "missing torque (N m)", worst.t, worst.torque, (worst.t, law), note)]
 
 
 def _load(cause: _Cause, effect: Effect) -> list[Evidence]:
     """Friction in proportion to load: what opposes the motor's motion against the load on its gears."""
-    found = _estimates(cause, "motor")
-    speed, load = _joined(found, lambda m: m.speed), np.abs(_joined(found, lambda m: m.load))
-    moving = np.abs(speed) > 0.02 * np.max(np.abs(speed))
+    found = _joined(_estimates(cause, "motor"))
+    load, moving = np.abs(found.load), np.abs(found.speed) > 0.02 * np.max(np.abs(found.speed))
     grid = _grid(load)
     law = None if effect.states else (grid, law_values(cause.extended, effect, 1.0, 0.0, grid))
     load_is = ("the torque in the drive" if cause.extended.drive is not None else
                "the motor's torque less what acts on the axis from outside (gravity, a beam)")
     return [_thin(f"Torque that opposes the motor, against the load on its gears: {cause.title}", "load",
                   "size of the load on the gears (N m)", "torque missing against the motion (N m)", load[moving],
-                  (-np.sign(speed) * _joined(found, lambda m: m.torque))[moving], law,
+                  (-np.sign(found.speed) * found.torque)[moving], law,
                   _torque_note(cause, found) + f" The load is {load_is}; rows at rest are left out.")]
 
 
@@ -235,9 +234,9 @@ def _joint(cause: _Cause, effect: Effect) -> list[Evidence]:
     Play is drawn as a share because a damper's torque, which has no place on the axis, may outweigh the spring's.
     """
     at, h = effect.at, cause.extended.period
-    found, joint = _estimates(cause, at), getattr(cause.extended, at)
-    angle, speed = _joined(found, lambda m: m.angle), _joined(found, lambda m: m.speed)
-    total = joint_torque(cause.without, at, angle, speed, h) - _joined(found, lambda m: m.torque)
+    found, joint = _joined(_estimates(cause, at)), getattr(cause.extended, at)
+    angle, speed = found.angle, found.speed
+    total = joint_torque(cause.without, at, angle, speed, h) - found.torque
     label = f"{'motor - base' if at == 'drive' else 'base - beam root'} (rad)"
     source = f"Points: spring and damper of the {at} plus what is missing there, smoothed from {_count(cause.runs)}"
     if effect.stage is Stage.GAP:
@@ -276,14 +275,14 @@ def _chain(rig: Rig, command: np.ndarray) -> np.ndarray:
 
 def _command(cause: _Cause) -> list[Evidence]:
     """Missing torque at the motor, in counts, against the command."""
-    found = _estimates(cause, "motor")
+    each = _estimates(cause, "motor")
+    found = _joined(each)
     late = sum(e.values()["time"] for e in cause.without.effects if e.stage is Stage.INPUT_DELAY)
-    command = _joined(found, lambda m: np.interp(m.t - late, m.t, m.command, left=0.0))
+    command = np.concatenate([np.interp(m.t - late, m.t, m.command, left=0.0) for m in each])
     grid = _grid(command)
     law = grid, _chain(cause.extended, grid) - _chain(cause.without, grid)
     return [_thin(f"Command that is missing, against the command: {cause.title}", "command", "command (counts)",
-                  "missing torque over motor gain (counts)", command,
-                  _joined(found, lambda m: m.torque) / cause.extended.motor.gain, law,
+                  "missing torque over motor gain (counts)", command, found.torque / cause.extended.motor.gain, law,
                   _torque_note(cause, found, "Line: what the fitted chain adds to the command."))]
 
 
@@ -312,7 +311,7 @@ def _centripetal(cause: _Cause, effect: Effect) -> list[Evidence]:
     rig = cause.extended
     assert rig.accelerometer is not None and rig.beam is not None
     runs = [run for run in cause.runs if run.accel is not None]
-    speed = _joined([missing_torque(cause.without, run, accelerometer=False) for run in runs], lambda m: m.base_speed)
+    speed = np.concatenate([missing_torque(cause.without, run, accelerometer=False).base_speed for run in runs])
     y = np.concatenate([run.accel - _command_driven(cause.without, run).accel for run in runs])
     grid = np.linspace(0.0, float(np.max(np.abs(speed))), 200)
     law = None if effect.states else (grid**2, law_values(rig, effect, grid, 0.0, rig.beam.length))
@@ -384,6 +383,19 @@ def _ratios(cause: _Cause, over_command: bool, weigh: Callable[[np.ndarray, np.n
     return best
 
 
+def _decibel(ratio: np.ndarray) -> np.ndarray:
+    return 20.0 * np.log10(np.maximum(np.abs(ratio), 1e-6))
+
+
+def _degrees(ratio: np.ndarray) -> np.ndarray:
+    return np.degrees(np.unwrap(np.angle(ratio)))
+
+
+_QUANTITIES = {"gain": ("Size", "measured over simulated (dB)", "0.9 dB", _decibel),
+               "phase": ("Phase", "phase of measured over simulated (degrees)", "6 degrees", _degrees)}
+"""Word, label and SPREAD of each, and how it is had of a ratio."""
+
+
 def _frequency(cause: _Cause, effect: Effect, quantities: tuple[str, ...]) -> list[Evidence]:
     """Measured over simulated response against frequency, in the channel on which the cause bears most."""
     found = _ratios(cause, False, lambda extended, without: np.abs(extended - without))
@@ -391,12 +403,8 @@ def _frequency(cause: _Cause, effect: Effect, quantities: tuple[str, ...]) -> li
         return []
     pictures = []
     for quantity in quantities:
-        how = "Line: the extended rig over the same, estimated alike."
-        if quantity == "gain":
-            word, label, limit, of = "Size", "measured over simulated (dB)", "0.9 dB", _decibel
-        else:
-            word, label, limit, of = "Phase", "phase of measured over simulated (degrees)", "6 degrees", _degrees
-        line = of(found.extended)
+        word, label, limit, of = _QUANTITIES[quantity]
+        line, how = of(found.extended), "Line: the extended rig over the same, estimated alike."
         if quantity == "phase" and effect.stage in _DELAYS:
             line = -360.0 * found.frequency * next(iter(effect.values().values()))
             how = "Below 0 the measured is late. Line: -360 degrees times frequency times the fitted delay."
@@ -445,14 +453,6 @@ def _resonances(rig: Rig) -> list[float]:
 def _moves(values: np.ndarray, channel: str) -> np.ndarray:
     """The angle by its changes, so that drift of an open integrator does not swamp it; the acceleration as it is."""
     return np.diff(values, prepend=values[0]) if channel == "encoder" else values - values[0]
-
-
-def _decibel(ratio: np.ndarray) -> np.ndarray:
-    return 20.0 * np.log10(np.maximum(np.abs(ratio), 1e-6))
-
-
-def _degrees(ratio: np.ndarray) -> np.ndarray:
-    return np.degrees(np.unwrap(np.angle(ratio)))
 
 
 def _transfer(pairs: Sequence[tuple[np.ndarray, np.ndarray]], rate: float) -> tuple[np.ndarray, ...]:

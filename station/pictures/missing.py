@@ -74,6 +74,33 @@ class MissingTorque:
     """Whether the accelerometer was used."""
 
 
+class _Plant(NamedTuple):
+    """The rig's linear model: torques held over a period drive its modes, from which the channels are read."""
+
+    rig: Rig
+    parts: Assembly
+    form: ModalForm
+    period: float
+    channels: int
+    """1: the encoder; 2: the accelerometer as well."""
+
+    @property
+    def modes(self) -> int:
+        """Number of modal coordinates."""
+        return 2 * self.form.blocks
+
+    def response(self, port: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of the modes (modes) to 1 N m held over a period, output rows (channels, modes), and outputs at once."""
+        rig, parts, form, period, channels = self
+        force = form.inverse @ torque_input(parts, port)
+        rows, feed = [form.basis[parts.base] / rig.angle_per_count], [0.0]
+        if channels == 2 and rig.accelerometer is not None and parts.tip is not None:
+            tip = rig.accelerometer.gain * form.basis[parts.size + parts.tip]
+            rows.append(tip @ dense(form.rates()))
+            feed.append(float(tip @ force))
+        return dense(form.integral(period)) @ force, np.array(rows), np.array(feed)
+
+
 class _System(NamedTuple):
     """The state-space model that the smoother runs on; x = [modes, d of the row before, accelerometer's offset]."""
 
@@ -120,13 +147,13 @@ def missing_torque(rig: Rig, run: Run, at: str = "motor", *, accelerometer: bool
     port = port_vector(rig, parts, at)
     use_accel = (accelerometer and rig.accelerometer is not None and run.accel is not None
                  and not any(e.stage in _ACCEL_PATH for e in rig.effects))
-    start, offset = resting(rig, run)
-    simulated, driven = _driven(model, run, start, offset)
+    plant = _Plant(rig, parts, form, period, 1 + int(use_accel))
+    simulated, driven = _driven(model, run, *resting(rig, run))
     measured = [true_encoder(rig, run.encoder)] + ([run.accel] if use_accel else [])
     excess = np.stack([m - s for m, s in zip(measured, simulated, strict=False)], axis=1)
     scale = torque_scale(rig) / (rig.beam.length if at == "tip" and rig.beam else 1.0)
-    system = _system(rig, parts, form, port, run, period, use_accel)
-    n, modes = parts.size, 2 * form.blocks
+    system = _system(plant, port, run)
+    n, modes = parts.size, plant.modes
     laws = [e for e in rig.effects if e.stage in TORQUES]
     forcing = np.zeros((len(run.t), system.f.shape[0]))
     known: dict[str, np.ndarray] = {}
@@ -139,11 +166,10 @@ def missing_torque(rig: Rig, run: Run, at: str = "motor", *, accelerometer: bool
         x, variance = _smooth(*chosen[:4], system.process(step), system.process(scale), seen, forcing, modes)
         motion = _Motion(driven.angle + x[:, :modes] @ form.basis[:n].T, driven.speed + x[:, :modes] @ form.basis[n:].T)
         if k < passes:
-            load = _load(rig, parts, motion, reaching, period)
-            known, forcing, seen = _known(rig, parts, form, laws, motion, load, known, system, excess, period)
+            known, forcing, seen = _known(plant, laws, motion, _load(plant, motion, reaching), known, excess)
     return MissingTorque(run.t, _next(x[:, modes]), np.sqrt(_next(variance)), *motion.along(port), run.command,
-                         _between(motion.speed[:, parts.base]),
-                         _load(rig, parts, motion, reaching, period), step, mistrust, use_accel)
+                         _between(motion.speed[:, parts.base]), _load(plant, motion, reaching), step, mistrust,
+                         use_accel)
 
 
 def port_vector(rig: Rig, parts: Assembly, at: str) -> np.ndarray:
@@ -190,28 +216,14 @@ def _driven(model: Model, run: Run, start: float, offset: float) -> tuple[tuple[
     return (encoder, accel), _Motion(full[:, :size], full[:, size:])
 
 
-def _ports(rig: Rig, parts: Assembly, form: ModalForm, port: np.ndarray, period: float,
-           channels: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Response of the modes to 1 N m held over a period (2b), output rows (channels, 2b), and outputs at once."""
-    n = parts.size
-    force = form.inverse @ torque_input(parts, port)
-    rows, feed = [form.basis[parts.base] / rig.angle_per_count], [0.0]
-    if channels == 2 and rig.accelerometer is not None and parts.tip is not None:
-        tip = rig.accelerometer.gain * form.basis[n + parts.tip]
-        rows.append(tip @ dense(form.rates()))
-        feed.append(float(tip @ force))
-    return dense(form.integral(period)) @ force, np.array(rows), np.array(feed)
-
-
-def _system(rig: Rig, parts: Assembly, form: ModalForm, port: np.ndarray, run: Run, period: float,
-            use_accel: bool) -> _System:
+def _system(plant: _Plant, port: np.ndarray, run: Run) -> _System:
     """Modes, unknown torque and the accelerometer's offset.
 
     At rest the rig's angle is known to a count; where the start is an equilibrium, its drive may be twisted.
     """
-    channels, modes = 1 + int(use_accel), 2 * form.blocks
-    held, rows, feed = _ports(rig, parts, form, port, period, channels)
-    size = modes + channels
+    rig, parts, form, period, channels = plant
+    held, rows, feed = plant.response(port)
+    modes, size = plant.modes, plant.modes + channels
     f, h, noise, start = np.zeros((size, size)), np.zeros((channels, size)), np.zeros((size, 2)), np.zeros((size, size))
     f[:modes, :modes], f[:modes, modes], f[modes, modes] = dense(form.exponential(period)), held, 1.0
     h[:, :modes], h[:, modes] = rows, feed
@@ -222,7 +234,7 @@ def _system(rig: Rig, parts: Assembly, form: ModalForm, port: np.ndarray, run: R
     for vector in spread:
         z = form.inverse @ np.concatenate([vector, np.zeros(parts.size)])
         start[:modes, :modes] += np.outer(z, z)
-    if use_accel:
+    if channels == 2:
         f[-1, -1] = h[1, -1] = noise[-1, 1] = start[-1, -1] = 1.0
     sigmas = noise_sigmas([run])
     return _System(f, h, np.array([s**2 + QUANTISATION for s in sigmas[:channels]]), start, noise)
@@ -251,25 +263,25 @@ def _likeliest(system: _System, scale: float, excess: np.ndarray, forcing: np.nd
     return chosen, math.exp(found.x), mistrust
 
 
-def _load(rig: Rig, parts: Assembly, motion: _Motion, command: np.ndarray, h: float) -> np.ndarray:
+def _load(plant: _Plant, motion: _Motion, command: np.ndarray) -> np.ndarray:
     """Load on the gears (n), N m; ``command`` as it reaches the motor's gain, counts."""
+    rig = plant.rig
     if rig.drive is None:
         return axis_load(rig, command, _between(motion.angle), _between(motion.speed))
-    return joint_torque(rig, "drive", *motion.along(port_vector(rig, parts, "drive")), h)
+    return joint_torque(rig, "drive", *motion.along(port_vector(rig, plant.parts, "drive")), plant.period)
 
 
-def _known(rig: Rig, parts: Assembly, form: ModalForm, laws: list[Effect], motion: _Motion,
-           load: np.ndarray, before: dict[str, np.ndarray], system: _System, excess: np.ndarray,
-           period: float) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
+def _known(plant: _Plant, laws: list[Effect], motion: _Motion, load: np.ndarray, before: dict[str, np.ndarray],
+           excess: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
     """The rig's own torques on a motion, by place; their push on the state (n, size), and the channels without them."""
-    channels, modes = excess.shape[1], 2 * form.blocks
-    forcing, seen = np.zeros((len(excess), system.f.shape[0])), excess.copy()
+    rig = plant.rig
+    forcing, seen = np.zeros((len(excess), plant.modes + plant.channels)), excess.copy()
     torques = {}
     for at in dict.fromkeys(part_of(rig, e) for e in laws):
-        port = port_vector(rig, parts, at)
-        torques[at] = torque = held_torque(rig, at, *motion.along(port), load, before.get(at, 0.0), period)
-        held, _, feed = _ports(rig, parts, form, port, period, channels)
-        forcing[:, :modes] += np.outer(torque, held)
+        port = port_vector(rig, plant.parts, at)
+        torques[at] = torque = held_torque(rig, at, *motion.along(port), load, before.get(at, 0.0), plant.period)
+        held, _, feed = plant.response(port)
+        forcing[:, :plant.modes] += np.outer(torque, held)
         seen[1:] -= np.outer(torque[:-1], feed)
     return torques, forcing, seen
 

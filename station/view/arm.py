@@ -7,6 +7,8 @@ from scipy import signal
 
 from station.rig import Rig
 
+EXAGGERATION = 4.0
+"""The beam's deflection is drawn so many times larger than it is."""
 POINTS = 17
 """Points drawn along the beam where the shape is estimated."""
 CUTOFF = 15.0
@@ -29,6 +31,11 @@ def tip_compliance(rig: Rig) -> float:
     moment = mass * length + density * length**2 / 3.0
     clamp = moment / rig.clamp.stiffness * length if rig.clamp is not None else 0.0
     return bending + clamp
+
+
+def drawn_length(rig: Rig) -> float:
+    """Length of the arm as it is drawn, m: the beam's, where there is none 0.3."""
+    return rig.beam.length if rig.beam is not None else 0.3
 
 
 def resting(accel: np.ndarray, rate: float) -> float:

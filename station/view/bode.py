@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 
 import numpy as np
@@ -39,15 +39,7 @@ def bode_figure(rig: Rig, run: Run | None = None, *, lowest: float = 0.1, highes
     models, measured, top = responses(rig, run, lowest=lowest, highest=highest, points=points)
     sensors = ["encoder"] if models["finite elements"].accel is None else ["encoder", "accel"]
     rows = 2 if measured is None else 3
-    figure = Figure(figsize=(5.2 * len(sensors), 2.4 * rows), layout="constrained")
-    axes = figure.subplots(rows, len(sensors), sharex=True, squeeze=False)
-    for column, sensor in enumerate(sensors):
-        _draw(axes[:, column], sensor, models, measured, top)
-        axes[0, column].set_title(TITLES[sensor])
-    for row, label in enumerate(("magnitude, dB", "phase, deg", "coherence")[:rows]):
-        axes[row, 0].set_ylabel(label)
-    axes[0, 0].legend()
-    return figure
+    return _bode(sensors, rows, lambda axes, sensor: _draw(axes, sensor, models, measured, top))
 
 
 def responses(rig: Rig, run: Run | None = None, *, lowest: float = 0.1, highest: float | None = None,
@@ -79,7 +71,7 @@ def response_table(response: FrequencyResponse) -> dict[str, list[float]]:
     return told
 
 
-def same_test_picture(accounts: Mapping[str, Run], colours: Mapping[str, str], dpi: int = 130) -> bytes:
+def same_test_picture(accounts: Mapping[str, Run], colours: Mapping[str, str]) -> bytes:
     """A PNG of the responses that a measured run and simulations of its test show, each estimated in the same way.
 
     The first of ``accounts`` is the measured one; so an effect that no linear response has, such as friction, is seen
@@ -92,17 +84,31 @@ def same_test_picture(accounts: Mapping[str, Run], colours: Mapping[str, str], d
     found = {name: measured_response(run, resolution) for name, run in accounts.items()}
     top = max(excited(measured), 4.0 * resolution)
     sensors = [s for s in TITLES if all(getattr(response, s) is not None for response in found.values())]
-    figure = Figure(figsize=(5.2 * len(sensors), 7.2), layout="constrained")
-    axes = figure.subplots(3, len(sensors), sharex=True, squeeze=False)
-    for column, sensor in enumerate(sensors):
-        _draw_accounts(axes[:, column], sensor, found, colours, top)
-        axes[0, column].set_title(TITLES[sensor])
-    for row, label in enumerate(("magnitude, dB", "phase, deg", "coherence")):
-        axes[row, 0].set_ylabel(label)
-    axes[0, 0].legend()
+    figure = _bode(sensors, 3, lambda axes, sensor: _draw_accounts(axes, sensor, found, colours, top))
     picture = io.BytesIO()
-    figure.savefig(picture, format="png", dpi=dpi)
+    figure.savefig(picture, format="png", dpi=130)
     return picture.getvalue()
+
+
+def _bode(sensors: Sequence[str], rows: int, draw: Callable[[np.ndarray, str], None]) -> Figure:
+    """One column for each sensor, filled by ``draw`` (axes (rows), sensor): magnitude, phase and, third, coherence."""
+    figure = Figure(figsize=(5.2 * len(sensors), 2.4 * rows), layout="constrained")
+    axes = figure.subplots(rows, len(sensors), sharex=True, squeeze=False)
+    for column, sensor in enumerate(sensors):
+        draw(axes[:, column], sensor)
+        axes[0, column].set_title(TITLES[sensor])
+        axes[-1, column].set_xlabel("frequency, Hz")
+    for row, label in enumerate(("magnitude, dB", "phase, deg", "coherence")[:rows]):
+        axes[row, 0].set_ylabel(label)
+    for axis in axes.flat:
+        axis.grid(which="both", alpha=0.25)
+    axes[0, 0].legend()
+    return figure
+
+
+def _beside(value: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """Phase of ``value``, rad, on the branch next to ``near``."""
+    return near + np.angle(value * np.exp(-1j * near))
 
 
 def _draw_accounts(axes: np.ndarray, sensor: str, found: Mapping[str, FrequencyResponse], colours: Mapping[str, str],
@@ -114,18 +120,16 @@ def _draw_accounts(axes: np.ndarray, sensor: str, found: Mapping[str, FrequencyR
         coherence = getattr(response, f"{sensor}_coherence")[inside]
         if near is None:
             near = _unwrapped(value, coherence >= COHERENT)
-        phase = near + np.angle(value * np.exp(-1j * near))
+        phase = _beside(value, near)
         style = {"color": colours[name], "linewidth": 2.6 if name == "measured" else 1.4}
         for axis, line in ((axes[0], 20.0 * np.log10(np.abs(value))), (axes[1], np.rad2deg(phase))):
             axis.semilogx(frequency, np.where(coherence >= COHERENT, line, np.nan), label=name, **style)
         axes[2].semilogx(frequency, coherence, **style)
     axes[2].set_ylim(0.0, 1.05)
     for axis in axes:
-        axis.grid(which="both", alpha=0.25)
         axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axis.xaxis.set_major_formatter("{x:g}")
         axis.xaxis.set_minor_formatter(NullFormatter())
-    axes[-1].set_xlabel("frequency, Hz")
 
 
 def _unwrapped(value: np.ndarray, certain: np.ndarray) -> np.ndarray:
@@ -136,12 +140,12 @@ def _unwrapped(value: np.ndarray, certain: np.ndarray) -> np.ndarray:
     return np.interp(np.arange(len(value)), rows, np.unwrap(np.angle(value[rows])))
 
 
-def excited(run: Run, share: float = 1e-4) -> float:
-    """Highest frequency (Hz) at which the command's spectrum still reaches ``share`` of its largest value."""
+def excited(run: Run) -> float:
+    """Highest frequency (Hz) at which the command's spectrum still reaches 1e-4 of its largest value."""
     spectrum = np.abs(np.fft.rfft(run.command - run.command.mean())) ** 2
     width = max(1, len(spectrum) // 200)
     smooth = np.convolve(spectrum, np.ones(width) / width, mode="same")
-    return float(np.fft.rfftfreq(len(run.t), 1.0 / run.sample_rate)[np.flatnonzero(smooth > share * smooth.max())[-1]])
+    return float(np.fft.rfftfreq(len(run.t), 1.0 / run.sample_rate)[np.flatnonzero(smooth > 1e-4 * smooth.max())[-1]])
 
 
 def _draw(axes: np.ndarray, sensor: str, models: dict[str, FrequencyResponse],
@@ -154,11 +158,7 @@ def _draw(axes: np.ndarray, sensor: str, models: dict[str, FrequencyResponse],
     for name, response in models.items():
         value = getattr(response, sensor)
         axes[0].semilogx(response.frequency, 20.0 * np.log10(np.abs(value)), label=name, **LINES[name])
-        branch = phase + np.angle(value * np.exp(-1j * phase))
-        axes[1].semilogx(response.frequency, np.rad2deg(branch), **LINES[name])
-    for axis in axes:
-        axis.grid(which="both", alpha=0.25)
-    axes[-1].set_xlabel("frequency, Hz")
+        axes[1].semilogx(response.frequency, np.rad2deg(_beside(value, phase)), **LINES[name])
 
 
 def _points(axes: np.ndarray, frequency: np.ndarray, value: np.ndarray, coherence: np.ndarray, near: np.ndarray,
@@ -166,9 +166,8 @@ def _points(axes: np.ndarray, frequency: np.ndarray, value: np.ndarray, coherenc
     shown = (frequency >= bottom) & (frequency <= top)
     grey = 0.85 - 0.65 * coherence[shown]
     style = {"s": 7.0, "color": np.stack([grey, grey, grey], axis=1)}
-    phase = near + np.angle(value * np.exp(-1j * near))
     magnitude_axis, phase_axis, coherence_axis = axes
     magnitude_axis.scatter(frequency[shown], 20.0 * np.log10(np.abs(value[shown])), label="measured", **style)
-    phase_axis.scatter(frequency[shown], np.rad2deg(phase[shown]), **style)
+    phase_axis.scatter(frequency[shown], np.rad2deg(_beside(value, near)[shown]), **style)
     coherence_axis.semilogx(frequency[shown], coherence[shown], color="0.35", linewidth=1.0)
     coherence_axis.set_ylim(0.0, 1.05)

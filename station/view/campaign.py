@@ -8,10 +8,9 @@ from typing import Any
 
 import plotly.graph_objects as go
 
-import station
 from station.view import wording
 from station.view.figures import empty
-from station.view.html import render, script_json, write_page
+from station.view.html import render, write_page
 
 _VERDICTS = {**wording.VERDICTS, "": "none"}
 _SYMBOLS = {"encoder": ("circle", "after"), "accel": ("diamond", "before")}
@@ -24,14 +23,15 @@ def write_campaign(summary: dict[str, Any], path: str | Path, title: str = "camp
 
 def campaign_html(summary: dict[str, Any], title: str = "campaign") -> str:
     """The page; all text that comes from plans and rigs is escaped."""
-    return render("campaign.html.j2", "campaign.css", page=_Page(summary, title))
+    page = _Page(summary, title)
+    return render("campaign.html.j2", "campaign.css", page=page, figures=page.figures)
 
 
 class _Page:
     """What the template asks for."""
 
     def __init__(self, summary: dict[str, Any], title: str) -> None:
-        self.found, self.title, self.version = summary, title, station.__version__
+        self.found, self.title = summary, title
         self.figures: dict[str, go.Figure] = {}
         self.calibration = summary["calibration"]["stated"]
         if self.calibration["bins"]:
@@ -88,10 +88,6 @@ class _Page:
         if case["hidden"] is None:
             return "not known"
         return ", ".join(map(self.words_of, case["hidden"])) or "nothing"
-
-    @property
-    def figures_json(self) -> str:
-        return script_json({name: figure.to_plotly_json() for name, figure in self.figures.items()})
 
 
 def right(hidden: str, column: str) -> bool:

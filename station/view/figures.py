@@ -11,11 +11,11 @@ from html import escape
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
+from scipy import signal
 
 from station.diagnose.result import DiagnosisResult, Prediction, RunComparison
 from station.model.simulate import Simulation
 from station.pictures.evidence import Evidence
-from station.view import remaining
 from station.view.labels import place_labels
 from station.view.residuals import Residual
 from station.view.wording import CHANNELS, plain
@@ -33,13 +33,11 @@ ROLES = {"measured": ("measured", "solid", 4.5), "before": ("before", "dash", 2.
 _LABELS = {"before": "simulated before", "measured": "measured", "after": "simulated after",
            "refit": "simulated, re-fitted", "reference": "reference"}
 _UNITS = {"encoder": "encoder counts", "accel": "accelerometer counts"}
-_SPECTRAL_KINDS = {"spectrum", "frequency", "bode"}
 _POINT = 8
 """Characters of a point: six bytes, in base 64."""
 _LAW_KINDS = {"speed", "angle", "load", "command"}
 MANY = 300
 """Points from which on a picture shows their medians."""
-_LINE_KINDS = {"line", "time", "spectrum"}
 
 
 def thin(t: np.ndarray, y: np.ndarray, limit: int = MAX_POINTS) -> tuple[np.ndarray, np.ndarray]:
@@ -50,8 +48,7 @@ def thin(t: np.ndarray, y: np.ndarray, limit: int = MAX_POINTS) -> tuple[np.ndar
     whole = len(y) // width * width
     blocks = y[:whole].reshape(-1, width)
     starts = np.arange(len(blocks)) * width
-    keep = np.concatenate([starts + blocks.argmin(axis=1), starts + blocks.argmax(axis=1), [0, len(y) - 1]])
-    keep = np.unique(keep)
+    keep = np.unique(np.concatenate([starts + blocks.argmin(axis=1), starts + blocks.argmax(axis=1), [0, len(y) - 1]]))
     return t[keep], y[keep]
 
 
@@ -60,12 +57,6 @@ def simulations(comparison: RunComparison) -> dict[str, Simulation]:
     if comparison.after is not None:
         return {"before": comparison.before, "after": comparison.after}
     return {"before": comparison.before, "refit": comparison.refit}
-
-
-def channels(comparison: RunComparison) -> list[str]:
-    """The channels that were measured and simulated."""
-    return [c for c in CHANNELS if getattr(comparison.run, c) is not None
-            and getattr(comparison.before, c) is not None]
 
 
 def hero(comparison: RunComparison, channel: str) -> go.Figure:
@@ -78,8 +69,7 @@ def hero(comparison: RunComparison, channel: str) -> go.Figure:
     lines = {"measured": getattr(run, channel)}
     lines |= {role: getattr(s, channel) for role, s in simulations(comparison).items()}
     for role, values in lines.items():
-        name, dash, width = ROLES[role]
-        figure.add_trace(_line(run.t, values, role, name, dash, width))
+        figure.add_trace(_line(run.t, values, role, *ROLES[role]))
     rests = np.count_nonzero(np.diff(run.reference)) < 0.02 * len(run.t)
     if channel == "encoder" and rests and not run.open_loop:
         lines["reference"] = run.reference
@@ -92,31 +82,24 @@ def hero(comparison: RunComparison, channel: str) -> go.Figure:
 
 def points_per_line(comparisons: list[RunComparison]) -> int:
     """Points that a line of a run may have: all lines of all runs share BUDGET."""
-    lines = sum(len(channels(c)) * (1 + 2 * len(simulations(c))) for c in comparisons)
+    lines = sum(len(c.channels) * (1 + 2 * len(simulations(c))) for c in comparisons)
     return max(LEAST, BUDGET // (_POINT * max(lines, 1)))
 
 
 def run_figure(comparison: RunComparison, limit: int = MAX_POINTS) -> go.Figure:
     """One run: each channel measured and simulated, and under it the residual before and after."""
-    run, names = comparison.run, channels(comparison)
-    titles = [title for c in names for title in (f"{CHANNELS[c]}, {_UNITS[c]}", f"{CHANNELS[c]}: measured − simulated")]
-    figure = make_subplots(rows=len(titles), cols=1, shared_xaxes=True, vertical_spacing=0.22 / len(titles),
-                           subplot_titles=titles)
-    _plain(figure)
+    run, names = comparison.run, comparison.channels
+    figure = _pairs(names, "measured − simulated", run.t)
     for index, channel in enumerate(names):
         measured = getattr(run, channel)
-        name, dash, width = ROLES["measured"]
-        figure.add_trace(_line(run.t, measured, "measured", name, dash, width, legend=index == 0, limit=limit),
+        figure.add_trace(_line(run.t, measured, "measured", *ROLES["measured"], legend=index == 0, limit=limit),
                          row=2 * index + 1, col=1)
         for role, simulation in simulations(comparison).items():
-            name, dash, width = ROLES[role]
-            simulated = getattr(simulation, channel)
-            figure.add_trace(_line(run.t, simulated, role, name, dash, width, legend=index == 0, limit=limit),
+            simulated, (name, dash, _) = getattr(simulation, channel), ROLES[role]
+            figure.add_trace(_line(run.t, simulated, role, *ROLES[role], legend=index == 0, limit=limit),
                              row=2 * index + 1, col=1)
             figure.add_trace(_line(run.t, measured - simulated, role, name, dash, 1.2, legend=False, limit=limit),
                              row=2 * index + 2, col=1)
-    figure.update_xaxes(range=[float(run.t[0]), float(run.t[-1])])
-    figure.update_xaxes(title_text="time (s)", row=len(titles), col=1)
     return figure
 
 
@@ -124,7 +107,7 @@ def evidence_figure(evidence: Evidence) -> go.Figure:
     """The picture specific to a cause: the points, their median where they are many, and the fitted law."""
     figure = empty(hovermode="closest")
     x, y = np.asarray(evidence.x, float), np.asarray(evidence.y, float)
-    if evidence.kind in _LINE_KINDS:
+    if evidence.kind in ("time", "spectrum"):
         figure.add_trace(_line(x, y, "measured", "measured", "solid", 1.6))
     else:
         many = len(x) > MANY
@@ -146,12 +129,11 @@ def evidence_figure(evidence: Evidence) -> go.Figure:
     if evidence.law_x is not None and evidence.law_y is not None:
         name, role = ("fitted law", "law") if evidence.without_y is None else ("with the cause", "after")
         figure.add_trace(go.Scatter(x=_floats(evidence.law_x), y=_floats(evidence.law_y), mode="lines",
-                                    name=name, meta={"role": role},
-                                    line={"width": 3, "dash": "solid"},
+                                    name=name, meta={"role": role}, line={"width": 3, "dash": "solid"},
                                     hovertemplate="%{x:.4g}, %{y:.4g}<extra></extra>"))
     figure.update_xaxes(title_text=escape(evidence.xlabel))
     figure.update_yaxes(title_text=escape(evidence.ylabel))
-    if evidence.kind in _SPECTRAL_KINDS and len(x) and x.min() > 0.0:
+    if evidence.kind in ("spectrum", "frequency") and len(x) and x.min() > 0.0:
         _log_x(figure, x)
     if evidence.kind == "spectrum" and len(y) and y.min() > 0.0:
         figure.update_yaxes(type="log")
@@ -174,10 +156,7 @@ def law_share(evidence: Evidence) -> float | None:
 def prediction_figure(prediction: Prediction) -> go.Figure:
     """What two rivals predict of a test that has not been run: each channel, and under it how far they differ."""
     pairs = {"encoder": prediction.encoder} | ({"accel": prediction.accel} if prediction.accel is not None else {})
-    titles = [title for c in pairs for title in (f"{CHANNELS[c]}, {_UNITS[c]}", f"{CHANNELS[c]}: difference")]
-    figure = make_subplots(rows=len(titles), cols=1, shared_xaxes=True, vertical_spacing=0.22 / len(titles),
-                           subplot_titles=titles)
-    _plain(figure)
+    figure = _pairs(list(pairs), "difference", prediction.t)
     looks = (("after", "solid", 2.4), ("before", "dash", 2.0))
     for index, pair in enumerate(pairs.values()):
         for name, (role, dash, width), values in zip(prediction.names, looks, pair, strict=True):
@@ -185,8 +164,6 @@ def prediction_figure(prediction: Prediction) -> go.Figure:
                              row=2 * index + 1, col=1)
         figure.add_trace(_line(prediction.t, pair[0] - pair[1], "law", "difference", "solid", 1.2, legend=False),
                          row=2 * index + 2, col=1)
-    figure.update_xaxes(range=[float(prediction.t[0]), float(prediction.t[-1])])
-    figure.update_xaxes(title_text="time (s)", row=len(titles), col=1)
     return figure
 
 
@@ -201,12 +178,11 @@ def spectrum_figure(found: list[Residual], rate: float) -> go.Figure:
         these = [r for r in found if r.channel == channel]
         for role in ("before", "after"):
             frequency, density = _mean_density([getattr(r, role) for r in these], rate)
-            name, dash, width = ROLES[role]
-            figure.add_trace(_line(frequency, density, role, name, dash, width, legend=row == 1, group=role,
+            figure.add_trace(_line(frequency, density, role, *ROLES[role], legend=row == 1,
                                    hover="%{x:.3g} Hz, %{y:.3g}"), row=row, col=1)
         white = np.full(len(frequency), these[0].noise / np.sqrt(rate / 2.0))
         figure.add_trace(_line(frequency, white, "bound", "noise and rounding alone", "dot", 1.5, legend=row == 1,
-                               group="bound", hover="%{y:.3g}"), row=row, col=1)
+                               hover="%{y:.3g}"), row=row, col=1)
     _log_x(figure, frequency)
     figure.update_yaxes(type="log", exponentformat="none", dtick=1)
     figure.update_xaxes(title_text="frequency (Hz)", row=len(names), col=1)
@@ -221,10 +197,9 @@ def whiteness_figure(found: list[Residual]) -> go.Figure:
     names = _channels_of(found)
     figure = _panels([f"{CHANNELS[c]} residual: autocorrelation" for c in names])
     for row, channel in enumerate(names, start=1):
-        tests = {r.number: remaining.whiteness(r.after) for r in found if r.channel == channel}
+        tests = {r.number: r.whiteness for r in found if r.channel == channel}
         bound = max(t.bound for t in tests.values())
-        _by_lag(figure, row, {number: (t.lags, t.autocorrelation) for number, t in tests.items()}, bound,
-                "99 % of white noise")
+        _by_lag(figure, row, {number: (t.lags, t.values) for number, t in tests.items()}, bound, "99 % of white noise")
     figure.update_xaxes(title_text="lag (samples)", row=len(names), col=1)
     return figure
 
@@ -234,10 +209,20 @@ def crossing_figure(found: list[Residual]) -> go.Figure:
     names = _channels_of(found)
     figure = _panels([f"{CHANNELS[c]} residual with the command: correlation over its band" for c in names])
     for row, channel in enumerate(names, start=1):
-        tests = {r.number: remaining.command_correlation(r.after, r.command) for r in found if r.channel == channel}
-        _by_lag(figure, row, {number: (t.lags, t.correlation / t.bound) for number, t in tests.items()}, 1.0,
-                "99 % of chance")
+        lines = {r.number: (r.crossing.lags, r.crossing.values / r.crossing.bound)
+                 for r in found if r.channel == channel}
+        _by_lag(figure, row, lines, 1.0, "99 % of chance")
     figure.update_xaxes(title_text="samples by which the command came earlier", row=len(names), col=1)
+    return figure
+
+
+def _pairs(names: list[str], below: str, t: np.ndarray) -> go.Figure:
+    """Two panels for each channel, its lines and ``below``, over one axis of time (s)."""
+    titles = [title for c in names for title in (f"{CHANNELS[c]}, {_UNITS[c]}", f"{CHANNELS[c]}: {below}")]
+    figure = _plain(make_subplots(rows=len(titles), cols=1, shared_xaxes=True, vertical_spacing=0.22 / len(titles),
+                                  subplot_titles=titles))
+    figure.update_xaxes(range=[float(t[0]), float(t[-1])])
+    figure.update_xaxes(title_text="time (s)", row=len(titles), col=1)
     return figure
 
 
@@ -260,7 +245,7 @@ def _by_lag(figure: go.Figure, row: int, lines: dict[int, tuple[np.ndarray, np.n
     figure.update_yaxes(range=[-edge, edge], row=row, col=1)
     for sign in (1.0, -1.0):
         figure.add_trace(_line(lags, np.full(len(lags), sign * bound), "bound", name, "dot", 1.5,
-                               legend=row == 1 and sign > 0, group="bound", hover="%{y:.2f}"), row=row, col=1)
+                               legend=row == 1 and sign > 0, hover="%{y:.2f}"), row=row, col=1)
 
 
 def hero_choice(result: DiagnosisResult) -> tuple[RunComparison, str] | None:
@@ -272,7 +257,7 @@ def hero_choice(result: DiagnosisResult) -> tuple[RunComparison, str] | None:
         return None
     by_name = {c.run.name: c for c in result.comparisons}
     for wrong in result.diagnosis.wrong:
-        if wrong.run in by_name and wrong.channel in channels(by_name[wrong.run]):
+        if wrong.run in by_name and wrong.channel in by_name[wrong.run].channels:
             return by_name[wrong.run], wrong.channel
     return max(result.comparisons, key=lambda c: c.errors("encoder")[0] or 0.0), "encoder"
 
@@ -282,12 +267,10 @@ def _channels_of(found: list[Residual]) -> list[str]:
 
 
 def _mean_density(errors: list[np.ndarray], rate: float) -> tuple[np.ndarray, np.ndarray]:
-    shortest = min(map(len, errors))
-    powers = []
-    for error in errors:
-        frequency, density = remaining.amplitude_density(error, rate, min(512, shortest))
-        powers.append(density**2)
-    return frequency, np.sqrt(np.mean(powers, axis=0))
+    """Frequency, Hz, and amplitude density, units/√Hz, by Welch's method (Welch 1967, Hann, half overlap)."""
+    segment = min(512, *map(len, errors))
+    found = [signal.welch(error, rate, nperseg=segment) for error in errors]
+    return found[0][0][1:], np.sqrt(np.mean([power[1:] for _, power in found], axis=0))
 
 
 def _binned(x: np.ndarray, y: np.ndarray, bins: int = 24) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -324,13 +307,13 @@ def _label_lines(figure: go.Figure, t: np.ndarray, lines: dict[str, np.ndarray])
 
 
 def _line(x: np.ndarray, y: np.ndarray, role: str, name: str, dash: str, width: float, *, legend: bool = True,
-          group: str | None = None, hover: str = "%{y:.1f}", limit: int = MAX_POINTS) -> go.Scatter:
+          hover: str = "%{y:.1f}", limit: int = MAX_POINTS) -> go.Scatter:
     """A line; where it stands at even places these are not written, and whole numbers take two bytes."""
     x, y = np.asarray(x, float), np.asarray(y, float)
     if len(y) > limit * (3 if _even(x) else 1):
         x, y = thin(x, y, limit)
     places = {"x0": float(x[0]), "dx": float((x[-1] - x[0]) / (len(x) - 1))} if _even(x) else {"x": _floats(x)}
-    return go.Scatter(**places, y=_short(y), mode="lines", name=name, legendgroup=group or role, showlegend=legend,
+    return go.Scatter(**places, y=_short(y), mode="lines", name=name, legendgroup=role, showlegend=legend,
                       meta={"role": role}, line={"dash": dash, "width": width}, hovertemplate=hover)
 
 

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from functools import cache
 from importlib import resources
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import jinja2
+import plotly.graph_objects as go
 from plotly.utils import PlotlyJSONEncoder
 
+from station import __version__
 from station.runs.files import new_file
 from station.view import wording
 
@@ -18,14 +22,16 @@ PLOTLY = "plotly-basic.min.js"
 """Plotly's basic bundle, which every page holds; plotly-basic.toml says where it comes from."""
 
 
-def render(template: str, *styles: str, **values: Any) -> str:
+def render(template: str, *styles: str, figures: Mapping[str, go.Figure] = MappingProxyType({}), **values: Any) -> str:
     """A page's HTML; every text is escaped but the style, the scripts and the figures' JSON.
 
-    ``styles`` are sheets beyond the one that all pages have.
+    ``styles``: sheets beyond the one that all pages have; ``figures``: by name, drawn by the page's script.
     """
+    drawn = script_json({name: figure.to_plotly_json() for name, figure in figures.items()})
     css = "\n".join(map(_asset, ("report.css", *styles)))
-    return _environment().get_template(template).render(words=wording, plotly=_asset(PLOTLY), css=css,
-                                                        js=_asset("report.js"), **values)
+    return _environment().get_template(template).render(words=wording, version=__version__, css=css,
+                                                        plotly=_asset(PLOTLY), js=_asset("report.js"), figures=drawn,
+                                                        **values)
 
 
 def write_page(path: str | Path, text: str) -> None:

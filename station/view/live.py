@@ -12,9 +12,9 @@ import numpy as np
 from station.rig import Rig
 from station.runs.columns import LOG_COLUMNS
 from station.runs.run import RunMetadata
-from station.view import arm
+from station.view.arm import EXAGGERATION, drawn_length, drawn_points
 from station.view.observer import Observer
-from station.view.recording import APPLICATION, EXAGGERATION, TIMELINE
+from station.view.recording import APPLICATION, TIMELINE
 from station.view.viewer import free_port, start
 from station.view.web import LOOPBACK
 
@@ -132,9 +132,8 @@ class LiveView:
             recording.send_columns(path, time, rr.Scalars.columns(scalars=columns[name]))
         for command, encoder, accel in zip(columns["command"], columns["encoder"], columns["accel"], strict=True):
             self._observer.see(command, encoder, accel)
-        length = self._rig.beam.length if self._rig.beam is not None else 0.3
-        points = arm.drawn_points(np.array([self._observer.angle]), self._observer.deflection[None, :], length,
-                                  EXAGGERATION)
+        points = drawn_points(np.array([self._observer.angle]), self._observer.deflection[None, :],
+                                  drawn_length(self._rig), EXAGGERATION)
         recording.set_time(TIMELINE, duration=float(columns["t"][-1]))
         recording.log("arm/beam", rr.LineStrips3D(points.astype(np.float32), radii=0.005))
         recording.log("arm/tip", rr.Points3D(points[:, -1].astype(np.float32), radii=0.011))

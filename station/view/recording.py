@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
 APPLICATION = "station"
 TIMELINE = "device_time"
-EXAGGERATION = 4.0
-"""The beam's deflection is drawn so many times larger than it is."""
 BODE = "bode"
 FRAMES = 60.0
 """Pictures of the arm per second of device time; the curves keep every row."""
@@ -39,7 +37,6 @@ FRAMES = 60.0
 COLOURS = {"reference": 0x2AA198FF, "measured": 0x7D8894FF, "nominal": 0xE8722EFF, "re-fitted": 0x9A8FBFFF,
            "extended": 0x3D8BFDFF, "command": 0x5AA469FF}
 """Red, green, blue, opacity; each is read on a light and on a dark ground."""
-WIDTHS = {"measured": 3.0}
 HEIGHTS = {"measured": 0.0, "nominal": 0.02, "re-fitted": 0.04, "extended": 0.04}
 """Where each arm turns, m above the measured one, so that none hides another."""
 LABELS = {"measured": 1.0, "nominal": 0.66, "re-fitted": 0.33, "extended": 0.33}
@@ -50,19 +47,8 @@ Entry = RunComparison | Run
 """What a tab shows: a run that a diagnosis has compared, or a run alone, simulated here on the nominal rig."""
 
 
-@dataclass(frozen=True)
-class _Source:
-    """One account of a run: what was measured, or a simulation of it."""
-
-    name: str
-    encoder: np.ndarray
-    accel: np.ndarray | None
-    shape: np.ndarray | None = None
-    command: np.ndarray | None = None
-
-
 def write_recording(path: str | os.PathLike[str], runs: Sequence[Entry], rig: Rig, *, extended: Rig | None = None,
-                    exaggeration: float = EXAGGERATION, status_names: Mapping[int, str] | None = None) -> None:
+                    status_names: Mapping[int, str] | None = None) -> None:
     """Write a recording that opens with one tab for each run.
 
     A comparison brings measured, nominal and extended (re-fitted where nothing was added), a bare run measured and
@@ -80,10 +66,10 @@ def write_recording(path: str | os.PathLike[str], runs: Sequence[Entry], rig: Ri
     recording = rr.RecordingStream(APPLICATION, recording_id=target.stem)
     with new_file(target, overwrite=True) as part:
         try:
-            recording.save(part, _blueprint(tabs, rig, exaggeration))
+            recording.save(part, _blueprint(tabs, rig))
             recording.send_recording_name(target.stem)
             for number, (run, sources) in enumerate(tabs, start=1):
-                _log_run(recording, f"run_{number}", run, sources, rig, exaggeration, status_names)
+                _log_run(recording, f"run_{number}", run, sources, rig, status_names)
             recording.flush()
         except (OSError, RuntimeError, ValueError) as error:
             raise WorkError(f"{target}: cannot be written: {error}") from None
@@ -91,7 +77,8 @@ def write_recording(path: str | os.PathLike[str], runs: Sequence[Entry], rig: Ri
             recording.disconnect()
 
 
-def _sources(entry: Entry, rig: Rig, extended: Rig | None) -> tuple[Run, list[_Source]]:
+def _sources(entry: Entry, rig: Rig, extended: Rig | None) -> tuple[Run, dict[str, Simulation]]:
+    """A run and its accounts by name: what was measured, in a simulation's form, and the simulations."""
     simulated: dict[str, Simulation]
     if isinstance(entry, Run):
         run = entry.filled(rig.sample_rate)
@@ -104,38 +91,35 @@ def _sources(entry: Entry, rig: Rig, extended: Rig | None) -> tuple[Run, list[_S
     else:
         run, simulated = entry.run, {"nominal": entry.before}
         simulated |= {"extended": entry.after} if entry.after is not None else {"re-fitted": entry.refit}
-    return run, [_Source("measured", run.encoder, run.accel, command=run.command),
-                 *(_Source(name, s.encoder, s.accel, s.shape, s.command) for name, s in simulated.items())]
+    return run, {"measured": Simulation(run.t, run.reference, run.command, run.encoder, run.accel)} | simulated
 
 
-def _log_run(recording: rr.RecordingStream, root: str, run: Run, sources: Sequence[_Source], rig: Rig,
-             exaggeration: float, status_names: Mapping[int, str] | None) -> None:
+def _log_run(recording: rr.RecordingStream, root: str, run: Run, sources: Mapping[str, Simulation],
+             rig: Rig, status_names: Mapping[int, str] | None) -> None:
     import rerun as rr
 
     clock = run.t if run.device_time is None else run.device_time
     seconds = np.asarray(clock, float) - float(clock[0])
 
     def curve(name: str, colour: str, values: np.ndarray) -> None:
-        path = f"{root}/{name}"
-        recording.log(path, rr.SeriesLines(names=colour, colors=COLOURS[colour], widths=WIDTHS.get(colour, 1.5)),
-                      static=True)
+        path, width = f"{root}/{name}", 3.0 if colour == "measured" else 1.5
+        recording.log(path, rr.SeriesLines(names=colour, colors=COLOURS[colour], widths=width), static=True)
         recording.send_columns(path, [rr.TimeColumn(TIMELINE, duration=seconds)],
                                rr.Scalars.columns(scalars=np.asarray(values, float)))
 
     curve("angle/reference", "reference", run.reference)
     curve("command", "command", run.command)
-    measured = sources[0]
-    for source in sources:
-        curve(f"angle/{source.name}", source.name, source.encoder)
-        if source is not measured:
-            curve(f"residual/angle/{source.name}", source.name, measured.encoder - source.encoder)
-        if source.accel is None or measured.accel is None:
+    for name, source in sources.items():
+        curve(f"angle/{name}", name, source.encoder)
+        if name != "measured":
+            curve(f"residual/angle/{name}", name, run.encoder - source.encoder)
+        if source.accel is None or run.accel is None:
             continue
-        curve(f"acceleration/{source.name}", source.name, source.accel)
-        if source is not measured:
-            curve(f"residual/acceleration/{source.name}", source.name, measured.accel - source.accel)
-    for source in sources:
-        _log_arm(recording, f"{root}/arm/{source.name}", source, seconds, rig, run.sample_rate, exaggeration)
+        curve(f"acceleration/{name}", name, source.accel)
+        if name != "measured":
+            curve(f"residual/acceleration/{name}", name, run.accel - source.accel)
+    for name, source in sources.items():
+        _log_arm(recording, f"{root}/arm/{name}", name, source, seconds, rig, run.sample_rate)
     picture = _bode(run, sources)
     if picture is not None:
         recording.log(f"{root}/{BODE}", rr.EncodedImage(contents=picture, media_type="image/png"), static=True)
@@ -144,62 +128,61 @@ def _log_run(recording: rr.RecordingStream, root: str, run: Run, sources: Sequen
         recording.log(f"{root}/events", rr.TextLog(event.text, level=event.level))
 
 
-def _bode(run: Run, sources: Sequence[_Source]) -> bytes | None:
+def _bode(run: Run, sources: Mapping[str, Simulation]) -> bytes | None:
     """The picture of the frequency responses; None for a run that shows none."""
-    accounts = {source.name: replace(run, command=source.command, encoder=source.encoder, accel=source.accel)
-                for source in sources}
+    accounts = {name: replace(run, command=source.command, encoder=source.encoder, accel=source.accel)
+                for name, source in sources.items()}
     try:
         return same_test_picture(accounts, {name: f"#{COLOURS[name] >> 8:06x}" for name in accounts})
     except WorkError:
         return None
 
 
-def _log_arm(recording: rr.RecordingStream, path: str, source: _Source, seconds: np.ndarray, rig: Rig, rate: float,
-             exaggeration: float) -> None:
+def _log_arm(recording: rr.RecordingStream, path: str, name: str, source: Simulation, seconds: np.ndarray, rig: Rig,
+             rate: float) -> None:
     import rerun as rr
 
-    length = rig.beam.length if rig.beam is not None else 0.3
+    length = arm.drawn_length(rig)
     angle = np.asarray(source.encoder, float) * rig.angle_per_count
     if source.shape is not None:
         along = np.linspace(0.0, length, source.shape.shape[1])
         deflection = source.shape - np.outer(angle, along)
     else:
         deflection = arm.estimated_shape(rig, angle, source.accel, rate)
-    points = arm.drawn_points(angle, deflection, length, exaggeration, HEIGHTS[source.name])
+    points = arm.drawn_points(angle, deflection, length, arm.EXAGGERATION, HEIGHTS[name])
     rows = np.arange(0, len(seconds), max(round(rate / FRAMES), 1))
     time = [rr.TimeColumn(TIMELINE, duration=seconds[rows])]
-    colour = COLOURS[source.name]
+    colour = COLOURS[name]
     recording.log(f"{path}/beam", rr.LineStrips3D.from_fields(colors=colour, radii=0.004), static=True)
     recording.send_columns(f"{path}/beam", time, rr.LineStrips3D.columns(
         strips=points[rows].astype(np.float32)))
     recording.log(f"{path}/tip", rr.Points3D.from_fields(colors=colour, radii=0.011), static=True)
     recording.send_columns(f"{path}/tip", time, rr.Points3D.columns(positions=points[rows, -1].astype(np.float32)))
-    marked = points[rows, round(LABELS[source.name] * (points.shape[1] - 1))]
-    recording.log(f"{path}/name", rr.Points3D.from_fields(colors=colour, radii=0.004, labels=source.name,
+    marked = points[rows, round(LABELS[name] * (points.shape[1] - 1))]
+    recording.log(f"{path}/name", rr.Points3D.from_fields(colors=colour, radii=0.004, labels=name,
                                                           show_labels=True), static=True)
     recording.send_columns(f"{path}/name", time, rr.Points3D.columns(positions=marked.astype(np.float32)))
-    hub = [[0.0, 0.0, HEIGHTS[source.name]]]
-    recording.log(f"{path}/hub", rr.Points3D(hub, colors=colour, radii=0.02), static=True)
+    recording.log(f"{path}/hub", rr.Points3D([[0.0, 0.0, HEIGHTS[name]]], colors=colour, radii=0.02), static=True)
 
 
-def _blueprint(tabs: Sequence[tuple[Run, list[_Source]]], rig: Rig, exaggeration: float) -> rrb.Blueprint:
+def _blueprint(tabs: Sequence[tuple[Run, Mapping[str, Simulation]]], rig: Rig) -> rrb.Blueprint:
     import rerun.blueprint as rrb
 
-    views = [_tab(f"run_{number}", run, sources, rig, exaggeration) for number, (run, sources) in enumerate(tabs, 1)]
+    views = [_tab(f"run_{number}", run, sources, rig) for number, (run, sources) in enumerate(tabs, 1)]
     layout = views[0] if len(views) == 1 else rrb.Tabs(*views, active_tab=0)
     return rrb.Blueprint(layout, rrb.BlueprintPanel(state="collapsed"), rrb.SelectionPanel(state="collapsed"),
                          rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="playing", loop_mode="all"),
                          auto_views=False)
 
 
-def _tab(root: str, run: Run, sources: Sequence[_Source], rig: Rig, exaggeration: float) -> rrb.Horizontal:
+def _tab(root: str, run: Run, sources: Mapping[str, Simulation], rig: Rig) -> rrb.Horizontal:
     import rerun.blueprint as rrb
 
-    length = rig.beam.length if rig.beam is not None else 0.3
+    length = arm.drawn_length(rig)
     facing = float(np.median(run.encoder)) * rig.angle_per_count
     middle = 0.5 * length * np.array([np.cos(facing), np.sin(facing), 0.0])
     space = rrb.Spatial3DView(
-        origin=f"{root}/arm", name=f"Arm from above, deflection × {exaggeration:g}",
+        origin=f"{root}/arm", name=f"Arm from above, deflection × {arm.EXAGGERATION:g}",
         eye_controls=rrb.EyeControls3D(position=middle + np.array([0.0, -0.35, 2.2]) * length,
                                        look_target=middle, eye_up=[0.0, 1.0, 0.0]))
     left = rrb.Vertical(space, rrb.TextLogView(origin=f"{root}/events", name="Events"), row_shares=[4, 1])
@@ -211,7 +194,8 @@ def _tab(root: str, run: Run, sources: Sequence[_Source], rig: Rig, exaggeration
 
     plots = [plot("Angle (encoder counts)", "angle"),
              plot("Angle: measured − simulated (counts)", "residual/angle")]
-    if run.accel is not None and any(source.accel is not None for source in sources[1:]):
+    simulated = [source for name, source in sources.items() if name != "measured"]
+    if run.accel is not None and any(source.accel is not None for source in simulated):
         plots += [plot("Acceleration (counts)", "acceleration"),
                   plot("Acceleration: measured − simulated (counts)", "residual/acceleration")]
     plots.append(plot("Command (counts)", "command"))

@@ -17,20 +17,31 @@ BAND = float(stats.norm.ppf(0.995))
 """Half width, standard deviations, of a band that holds 99 % of a Gaussian."""
 
 
-def amplitude_density(residual: np.ndarray, sample_rate: float, segment: int = 512) -> tuple[np.ndarray, np.ndarray]:
-    """Frequency, Hz, and amplitude density, units/√Hz, by Welch's method (Welch 1967, Hann, half overlap)."""
-    frequency, density = signal.welch(residual, sample_rate, nperseg=min(segment, len(residual)))
-    return frequency[1:], np.sqrt(density[1:])
+@dataclass(frozen=True)
+class Correlation:
+    """Correlation of a residual with what stood ``lag`` samples earlier: the command, or itself."""
+
+    lags: np.ndarray
+    """From 1 (itself) or −LAGS (the command) to LAGS."""
+    values: np.ndarray
+    bound: float
+    """99 % of the correlations lie within ±bound where the two are independent."""
+
+    @property
+    def outside(self) -> int:
+        """Earlier lags outside the band; of the command these are physics that the simulation lacks."""
+        return int(np.count_nonzero(np.abs(self.values[self.lags > 0]) > self.bound))
+
+    @property
+    def asked(self) -> int:
+        """Earlier lags that were asked."""
+        return int(np.count_nonzero(self.lags > 0))
 
 
 @dataclass(frozen=True)
-class Whiteness:
+class Whiteness(Correlation):
     """Autocorrelation of a residual and the Ljung-Box test that it is white noise."""
 
-    lags: np.ndarray
-    autocorrelation: np.ndarray
-    bound: float
-    """99 % of a white residual's autocorrelations lie within ±bound."""
     p_value: float
     """Probability of a Ljung-Box statistic at least this large if the residual were white."""
 
@@ -39,50 +50,22 @@ class Whiteness:
         """Whether white noise is compatible with the residual at the 1 % level."""
         return self.p_value >= 0.01
 
-    @property
-    def outside(self) -> int:
-        """Lags outside the band."""
-        return int(np.count_nonzero(np.abs(self.autocorrelation) > self.bound))
 
-
-@dataclass(frozen=True)
-class Crossing:
-    """Correlation of a residual with the command that acted ``lag`` samples earlier."""
-
-    lags: np.ndarray
-    """From −LAGS to LAGS."""
-    correlation: np.ndarray
-    bound: float
-    """99 % of the correlations lie within ±bound where residual and command are independent."""
-
-    @property
-    def outside(self) -> int:
-        """Lags at which an earlier command still shows in the residual: physics that the simulation lacks."""
-        return int(np.count_nonzero(np.abs(self.correlation[self.lags > 0]) > self.bound))
-
-    @property
-    def asked(self) -> int:
-        """Lags that were asked, those of earlier commands."""
-        return int(np.count_nonzero(self.lags > 0))
-
-
-def whiteness(residual: np.ndarray, lags: int = LAGS) -> Whiteness:
+def whiteness(residual: np.ndarray) -> Whiteness:
     """Test a residual (n) for whiteness.
 
     ρ(k) = Σ ε(t) ε(t−k) / Σ ε²(t); √n ρ(k) is asymptotically N(0, 1) for white ε (Ljung 1999, section 16.6).  All lags
     at once: Q = n(n+2) Σ ρ²(k)/(n−k) against chi-square (Ljung and Box, Biometrika 65, 1978).
     """
     n = len(residual)
-    lags = min(lags, max(n // 4, 1))
+    lags = min(LAGS, max(n // 4, 1))
     places = np.arange(1, lags + 1)
     rho = _autocorrelation(residual)[1 : lags + 1]
-    if not rho.any():
-        return Whiteness(places, np.zeros(lags), BAND / np.sqrt(n), 1.0)
     q = n * (n + 2.0) * np.sum(rho**2 / (n - places))
     return Whiteness(places, rho, BAND / np.sqrt(n), float(stats.chi2.sf(q, lags)))
 
 
-def command_correlation(residual: np.ndarray, command: np.ndarray, lags: int = LAGS) -> Crossing:
+def command_correlation(residual: np.ndarray, command: np.ndarray) -> Correlation:
     """Correlation of a residual (n) with the command (n), both about their means.
 
     ρ(k) = Σ ε(t) u(t−k) / √(Σ ε² Σ u²).  Where ε is independent of u, √n ρ(k) is asymptotically N(0, P) with
@@ -91,19 +74,19 @@ def command_correlation(residual: np.ndarray, command: np.ndarray, lags: int = L
     closed loop correlates the two by itself, for the command answers what was read.
     """
     n = len(residual)
-    lags = min(lags, max(n // 4, 1))
+    reach = max(n // 4, 1)
+    lags = min(LAGS, reach)
     e, u = residual - residual.mean(), command - command.mean()
     scale = float(np.sqrt((e @ e) * (u @ u)))
     places = np.arange(-lags, lags + 1)
-    reach = max(n // 4, 1)
     window = 1.0 - np.arange(1, reach) / reach
     both = (_autocorrelation(e) * _autocorrelation(u))[1:reach]
     variance = max(1.0 + 2.0 * float(window @ both), 1.0)
     bound = BAND * float(np.sqrt(variance / n))
     if scale == 0.0:
-        return Crossing(places, np.zeros(len(places)), bound)
+        return Correlation(places, np.zeros(len(places)), bound)
     full = signal.correlate(e, u, mode="full", method="fft") / scale
-    return Crossing(places, full[n - 1 - lags : n + lags], bound)
+    return Correlation(places, full[n - 1 - lags : n + lags], bound)
 
 
 def _autocorrelation(values: np.ndarray) -> np.ndarray:

@@ -16,11 +16,11 @@ import plotly.graph_objects as go
 
 import station
 from station.diagnose.odds import RESAMPLES, SEED
-from station.diagnose.result import Cause, DiagnosisResult, Estimate, RunComparison
+from station.diagnose.result import DiagnosisResult, Estimate, RunComparison
 from station.diagnose.thresholds import STABLE
 from station.pictures.evidence import Evidence
-from station.view import figures, remaining, wording
-from station.view.html import render, script_json, write_page
+from station.view import figures, wording
+from station.view.html import render, write_page
 from station.view.residuals import residuals
 
 FIRST_RANKED, MAX_RANKED = 6, 20
@@ -42,7 +42,8 @@ def report_html(result: DiagnosisResult, written: datetime | None = None) -> str
 
     ``written``: the date that it states, by default now.
     """
-    return render("report.html.j2", page=_Page(result, written or datetime.now(UTC)))
+    page = _Page(result, written or datetime.now(UTC))
+    return render("report.html.j2", page=page, figures=page.figures)
 
 
 @dataclass(frozen=True)
@@ -60,28 +61,6 @@ class GainRow:
 
 
 @dataclass(frozen=True)
-class WhiteRow:
-    """What remains of one channel of one run, one sample ahead."""
-
-    run: int
-    channel: str
-    rms: float
-    noise: float
-    test: remaining.Whiteness
-    crossing: remaining.Crossing
-
-    @property
-    def words(self) -> str:
-        """What it looks like."""
-        return wording.residual_words(self.rms, self.noise, self.test.white, self.crossing.outside)
-
-    @property
-    def larger(self) -> bool:
-        """Whether it is larger than noise."""
-        return self.rms > wording.LIKE_NOISE * self.noise
-
-
-@dataclass(frozen=True)
 class ConstantRow:
     """One re-fitted constant beside the rig file's, as logarithms of their ratio for the drawing."""
 
@@ -91,11 +70,23 @@ class ConstantRow:
     value: float
     sigma: float
 
-    @property
-    def sigmas(self) -> float:
-        """Distance from the rig file's value in its stated standard deviations."""
-        ratio = self.value / self.nominal
+    def away(self, value: float) -> float:
+        """Distance of a value from the rig file's in its stated standard deviations."""
+        ratio = value / self.nominal
         return math.log(ratio) / self.sigma if ratio > 0.0 and self.sigma > 0.0 else math.inf
+
+    @property
+    def span(self) -> list[float] | None:
+        """The interval on the drawing, where it has one."""
+        if self.estimate is None:
+            return None
+        ends = sorted((self.away(self.estimate.low), self.away(self.estimate.high)))
+        return [self.clip(end) for end in ends] if all(map(math.isfinite, ends)) else None
+
+    @staticmethod
+    def clip(sigmas: float) -> float:
+        """A place on the drawing, which spans four standard deviations either way."""
+        return min(max(sigmas, -3.9), 3.9)
 
 
 class _Page:
@@ -105,33 +96,27 @@ class _Page:
         self.result = result
         self.written = written.astimezone(UTC)
         self.sections = SECTIONS
+        self.draws, self.seed, self.asked = RESAMPLES, SEED, STABLE
         self.residuals = residuals(result)
         self.diagnosis = result.diagnosis
         self.rig = result.rig
-        self.version = station.__version__
         self.sentence = wording.verdict_sentence(result.diagnosis, result.rig)
         self.figures: dict[str, go.Figure] = {}
         self.hero = figures.hero_choice(result)
         if self.hero is not None:
-            self._add("hero", figures.hero(*self.hero))
+            self.figures["hero"] = figures.hero(*self.hero)
         for index, evidence in enumerate(result.evidence):
-            self._add(f"evidence-{index}", figures.evidence_figure(evidence))
+            self.figures[f"evidence-{index}"] = figures.evidence_figure(evidence)
         self.points = figures.points_per_line(result.comparisons)
         for index, comparison in enumerate(result.comparisons):
-            self._add(f"run-{index}", figures.run_figure(comparison, self.points))
+            self.figures[f"run-{index}"] = figures.run_figure(comparison, self.points)
         if self.residuals:
-            self._add("spectrum", figures.spectrum_figure(self.residuals, result.rig.sample_rate))
-            self._add("whiteness", figures.whiteness_figure(self.residuals))
-            self._add("crossing", figures.crossing_figure(self.residuals))
+            self.figures["spectrum"] = figures.spectrum_figure(self.residuals, result.rig.sample_rate)
+            self.figures["whiteness"] = figures.whiteness_figure(self.residuals)
+            self.figures["crossing"] = figures.crossing_figure(self.residuals)
         asked = self.diagnosis.next_experiment
         if result.prediction is not None and asked is not None and asked.test is not None:
-            self._add("next", figures.prediction_figure(result.prediction))
-
-    @property
-    def predicted_names(self) -> tuple[str, str] | None:
-        """The rivals that the figure of the next experiment shows, in words."""
-        found = self.result.prediction
-        return None if found is None else (wording.plain(found.names[0]), wording.plain(found.names[1]))
+            self.figures["next"] = figures.prediction_figure(result.prediction)
 
     @staticmethod
     def agreement(evidence: Evidence) -> str:
@@ -140,19 +125,6 @@ class _Page:
         if share is None:
             return ""
         return f"Fitted to the points' medians the law would have {wording.number(share, 2)} times its size."
-
-    def _add(self, name: str, figure: go.Figure) -> None:
-        self.figures[name] = figure
-
-    @property
-    def figures_json(self) -> str:
-        """The figures for the script element: JSON without a character that could end it."""
-        return script_json({name: figure.to_plotly_json() for name, figure in self.figures.items()})
-
-    @property
-    def diagnosis_json(self) -> str:
-        """The diagnosis file's text."""
-        return self.diagnosis.to_json()
 
     @property
     def hero_facts(self) -> list[tuple[str, str]]:
@@ -163,24 +135,9 @@ class _Page:
         return [wording.fact(w) for w in self.diagnosis.wrong if (w.run, w.channel) == shown][:2]
 
     @property
-    def open(self) -> bool:
-        """Whether the runs leave open which cause it is."""
-        return self.diagnosis.verdict == "ambiguous"
-
-    @property
     def predicted(self) -> dict[str, float]:
         """Of the runs that are predicted and not simulated as a whole, how many seconds ahead."""
         return {c.run.name: c.seconds_ahead for c in self.result.comparisons if c.seconds_ahead is not None}
-
-    @property
-    def ahead_times(self) -> list[str]:
-        """The times ahead that gains are told for."""
-        return list(dict.fromkeys(time for row in self.diagnosis.gain.runs for time in row.ahead))
-
-    @property
-    def any_step(self) -> bool:
-        """Whether a run is a step test."""
-        return any(row.measured for row in self.diagnosis.gain.runs)
 
     @property
     def hashes(self) -> dict[str, str | None]:
@@ -188,11 +145,6 @@ class _Page:
         kept = {row.run: row.file_sha256 for row in self.diagnosis.runs}
         names = [c.run.name for c in self.result.comparisons]
         return {name: kept.get(name, kept.get(name.rsplit(" (", 1)[0])) for name in names}
-
-    @property
-    def next_rows(self) -> int:
-        """Panels of the figure of the next experiment: each channel and its difference."""
-        return 2 if self.result.prediction is None or self.result.prediction.accel is None else 4
 
     @property
     def has_after(self) -> bool:
@@ -212,27 +164,13 @@ class _Page:
     def ranking(self) -> list[tuple[Any, str]]:
         """The candidates and why each stands where it does."""
         named = {(c.effect, c.at) for c in self.diagnosis.causes}
-        first = self.result.ranking[0] if self.result.ranking else None
-        return [(c, wording.why_lost(c, first, (c.effect, c.at) in named)) for c in self.result.ranking[:MAX_RANKED]]
+        ranking = self.result.ranking
+        return [(c, wording.why_lost(c, ranking[0], (c.effect, c.at) in named)) for c in ranking[:MAX_RANKED]]
 
     @property
     def first_ranked(self) -> int:
         """Candidates shown at once: at least the named ones, which stand first."""
         return max(FIRST_RANKED, len(self.diagnosis.causes) + 2)
-
-    @property
-    def ranking_left_out(self) -> int:
-        return max(len(self.result.ranking) - MAX_RANKED, 0)
-
-    @property
-    def resampling(self) -> dict[str, Any]:
-        """How the data were drawn again."""
-        return {"draws": RESAMPLES, "seed": SEED, "asked": STABLE}
-
-    @staticmethod
-    def stands(cause: Cause) -> bool:
-        """Whether as many resamples name the cause as are asked for."""
-        return cause.stability >= STABLE
 
     @property
     def notes(self) -> tuple[list[str], list[str]]:
@@ -245,7 +183,7 @@ class _Page:
     def gain_rows(self) -> list[GainRow]:
         rows, repeats = [], {row.run: row.repeats for row in self.diagnosis.gain.runs}
         for number, c in enumerate(self.result.comparisons, start=1):
-            for channel in figures.channels(c):
+            for channel in c.channels:
                 before, refit, after = c.errors(channel)
                 rows.append(GainRow(number, c.run.name, wording.CHANNELS[channel], before, refit, after,
                                     repeats.get(c.run.name, {}).get(channel)))
@@ -262,16 +200,9 @@ class _Page:
         return max([e for r in self.gain_rows for e in (r.before, r.refit, r.after) if e is not None], default=1e-12)
 
     @property
-    def white_rows(self) -> list[WhiteRow]:
-        return [WhiteRow(r.number, wording.CHANNELS[r.channel], float(r.after.std()), r.noise,
-                         remaining.whiteness(r.after), remaining.command_correlation(r.after, r.command))
-                for r in self.residuals]
-
-    @property
     def remains(self) -> str:
         """What is left, in a sentence."""
-        rows = self.white_rows
-        return wording.remains_sentence(self.diagnosis, sum(row.larger for row in rows), len(rows))
+        return wording.remains_sentence(self.diagnosis, sum(r.larger for r in self.residuals), len(self.residuals))
 
     @property
     def unpredicted(self) -> list[int]:
@@ -292,21 +223,6 @@ class _Page:
         """Channels drawn in the figures of what remains."""
         return len({r.channel for r in self.residuals})
 
-    @staticmethod
-    def clip(sigmas: float) -> float:
-        """A place on the drawing of constants, which spans four standard deviations either way."""
-        return min(max(sigmas, -3.9), 3.9)
-
-    def span(self, row: ConstantRow) -> tuple[float, float] | None:
-        """The interval of a constant on that drawing, where it has one."""
-        if row.estimate is None or row.sigma <= 0.0:
-            return None
-        ratios = (row.estimate.low / row.nominal, row.estimate.high / row.nominal)
-        if min(ratios) <= 0.0 or not all(map(math.isfinite, ratios)):
-            return None
-        low, high = sorted(self.clip(math.log(r) / row.sigma) for r in ratios)
-        return low, high
-
     @property
     def rig_changes(self) -> list[tuple[str, str]]:
         """What the extended rig changes in the rig file: lines with '+', '-' or ' ' before them."""
@@ -315,24 +231,14 @@ class _Page:
         return [(line[:1], line) for line in lines if not line.startswith(("---", "+++"))]
 
     @property
-    def rig_file(self) -> str:
-        """The rig as it was taken."""
-        return self.rig.to_toml()
-
-    @property
     def rig_hash(self) -> str:
-        """SHA-256 of that text."""
-        return hashlib.sha256(self.rig_file.encode()).hexdigest()
+        """SHA-256 of the rig as Station writes it."""
+        return hashlib.sha256(self.rig.to_toml().encode()).hexdigest()
 
     @property
     def versions(self) -> str:
-        found = []
-        for name in _LIBRARIES:
-            try:
-                found.append(f"{name} {metadata.version(name)}")
-            except metadata.PackageNotFoundError:
-                continue
-        return ", ".join([f"Station {self.version}", f"Python {platform.python_version()}", *found])
+        return ", ".join([f"Station {station.__version__}", f"Python {platform.python_version()}",
+                          *(f"{name} {metadata.version(name)}" for name in _LIBRARIES)])
 
     @property
     def timing(self) -> list[tuple[str, list[str], str, list[tuple[str, int]]]]:

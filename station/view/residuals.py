@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -20,9 +21,11 @@ from station.estimation.prediction import predict_run
 from station.model.simulate import Model, build
 from station.rig import Rig
 from station.runs.run import Run
+from station.view.remaining import Correlation, Whiteness, command_correlation, whiteness
+from station.view.wording import CHANNELS
 
-CHANNELS = ("encoder", "accel")
-
+LIKE_NOISE = 1.1
+"""Times the standard deviation of a reading up to which a residual is no larger than noise: a tenth more."""
 
 @dataclass(frozen=True)
 class Residual:
@@ -30,7 +33,6 @@ class Residual:
 
     number: int
     """The run's place in the report, from 1."""
-    run: Run
     channel: str
     before: np.ndarray
     """(n) by the rig file as it is."""
@@ -42,6 +44,26 @@ class Residual:
     """Standard deviation of a reading, rounding included, counts."""
     horizon: float
     """Seconds after which the observer has forgotten an error."""
+
+    @property
+    def scatter(self) -> float:
+        """Standard deviation of what remains, counts."""
+        return float(self.after.std())
+
+    @property
+    def larger(self) -> bool:
+        """Whether what remains is larger than noise."""
+        return self.scatter > LIKE_NOISE * self.noise
+
+    @cached_property
+    def whiteness(self) -> Whiteness:
+        """Of what remains."""
+        return whiteness(self.after)
+
+    @cached_property
+    def crossing(self) -> Correlation:
+        """Of what remains with the command."""
+        return command_correlation(self.after, self.command)
 
 
 def residuals(result: DiagnosisResult) -> list[Residual]:
@@ -56,13 +78,13 @@ def residuals(result: DiagnosisResult) -> list[Residual]:
     observer = observers(data.rig, data.noise[0])[0]
     models = [build(data.rig), build(_same_mesh(result.extended_rig, data.rig))]
     found = []
-    for r, (number, run) in enumerate(kept):
+    for r, (number, _) in enumerate(kept):
         errors = [_errors(data, model, observer, r) for model in models]
         rows = data.windows[r]
         if not all(np.all(np.isfinite(e)) for e in errors):
             continue
-        for c, channel in enumerate(CHANNELS[: data.channels]):
-            found.append(Residual(number, run, channel, errors[0][c, rows], errors[1][c, rows],
+        for c, channel in enumerate(list(CHANNELS)[: data.channels]):
+            found.append(Residual(number, channel, errors[0][c, rows], errors[1][c, rows],
                                   data.runs[r].command[rows], float(data.sigma[c]), observer.horizon))
     return found
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from station import __version__, markup
+from station import markup
 from station.errors import WorkError
 from station.runs.quality import quality
 from station.runs.run import Run
@@ -21,18 +21,13 @@ THUMBNAIL = (240, 72)
 
 def runs_html(folder: Path, found: Sequence[RunSummary]) -> str:
     """The page's HTML; links are relative to ``folder``, all text that comes from files is escaped."""
-    reports = sorted(path for path in folder.rglob("*.html") if path != folder / PAGE)
-    return render("runs.html.j2", folder=folder.resolve().name, version=__version__,
-                  rows=[_row(item) for item in found],
-                  reports=[(path.relative_to(folder).as_posix(), _link(path.relative_to(folder))) for path in reports])
-
-
-def _link(path: Path) -> str:
-    return quote(path.as_posix())
+    reports = sorted(path.relative_to(folder) for path in folder.rglob("*.html") if path != folder / PAGE)
+    return render("runs.html.j2", folder=folder.resolve().name, rows=[_row(item) for item in found],
+                  reports=[(path.as_posix(), quote(path.as_posix())) for path in reports])
 
 
 def _row(item: RunSummary) -> dict[str, Any]:
-    row: dict[str, Any] = {"name": item.path.name, "link": _link(Path(item.path.name)), "item": item,
+    row: dict[str, Any] = {"name": item.path.name, "link": quote(item.path.name), "item": item,
                            "problem": _here(item.problem, item.path), "quality": None, "picture": ""}
     if item.metadata is None:
         return row

@@ -56,7 +56,7 @@ def print_diagnosis(result: DiagnosisResult, console: Console, rig: str = "RIG")
     if gone := wording.gone(found):
         console.print(wording.sentence(f"on runs that no fit has seen, {gone}"))
     if found.next_experiment is not None:
-        for line in f"Next: {wording.next_test(found.next_experiment, rig=rig)}".splitlines():
+        for line in f"Next: {wording.next_test(found.next_experiment, rig)}".splitlines():
             console.print(_plain(line), soft_wrap=True)
 
 
@@ -67,12 +67,10 @@ def print_comparison(comparisons: Sequence[RunComparison], console: Console,
     rows = []
     extra = ["between repeats"] if any(repeats.values()) else []
     for c in comparisons:
-        for channel, words in wording.CHANNELS.items():
-            if getattr(c.run, channel) is None or getattr(c.before, channel) is None:
-                continue
+        for channel in c.channels:
             errors = [wording.percent(error) for error in c.errors(channel)]
             between = [wording.percent(repeats.get(c.run.name, {}).get(channel)) for _ in extra]
-            rows.append((c.run.name, words, *errors, *between))
+            rows.append((c.run.name, wording.CHANNELS[channel], *errors, *between))
     console.print(_table("Error on runs that no fit has seen, share of the signal",
                          ["run", "channel", "before", "re-fitted", "after", *extra], rows))
     ahead = [c for c in comparisons if c.seconds_ahead is not None]
@@ -84,10 +82,10 @@ def print_comparison(comparisons: Sequence[RunComparison], console: Console,
 
 def _print_ahead(found: Diagnosis, console: Console) -> None:
     """The angle predicted a time ahead, and the measures of step tests, before and after."""
-    times = list(dict.fromkeys(time for row in found.gain.runs for time in row.ahead))
+    times = wording.ahead_times(found)
     if not times:
         return
-    steps = any(row.measured for row in found.gain.runs)
+    steps = wording.any_step(found)
     columns = ["run", *(f"{time} ahead" for time in times)]
     rows = []
     for row in found.gain.runs:

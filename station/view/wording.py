@@ -33,9 +33,6 @@ STATES = {"determined": "determined by these runs", "at_bound": "at a bound",
           "traded_off": "known only together with another",
           "not_excited": "not told by these runs; known only as it was beforehand"}
 
-LIKE_NOISE = 1.1
-"""Times the standard deviation of a reading up to which a residual is no larger than noise: a tenth more."""
-
 _PREFIX = "parameter:"
 _LATENCY = {"input_delay", "encoder_delay"}
 """Delays of which a loop shows the sum."""
@@ -284,9 +281,9 @@ def run_command(test: dict[str, Any], port: str = "PORT", rig: str = "RIG") -> s
     return shlex.join([*words, "--out", f"{name}.mcap"])
 
 
-def next_test(asked: NextExperiment, port: str = "PORT", rig: str = "RIG") -> str:
+def next_test(asked: NextExperiment, rig: str) -> str:
     """The next experiment as a sentence: the command to type, and why."""
-    words = f"{run_command(asked.test, port, rig)}\n" if asked.test else ""
+    words = f"{run_command(asked.test, rig=rig)}\n" if asked.test else ""
     return f"{words}{sentence(plain(asked.why))}"
 
 
@@ -326,13 +323,13 @@ def leaves_noise(diagnosis: Diagnosis) -> bool:
     return diagnosis.outside == 0.0
 
 
-def residual_words(scatter: float, noise: float, white: bool, followed: int) -> str:
+def residual_words(larger: bool, white: bool, followed: int) -> str:
     """What a residual one sample ahead looks like.
 
-    ``scatter`` and ``noise``: its standard deviation and that of a reading, counts; ``white``: whether its lags pass
-    for white noise; ``followed``: the lags at which an earlier command shows.
+    ``larger``: than the noise; ``white``: whether its lags pass for white noise; ``followed``: the lags at which an
+    earlier command shows.
     """
-    if scatter <= LIKE_NOISE * noise:
+    if not larger:
         return "noise" if white and not followed else "no larger than the noise"
     return f"larger than the noise{', and it follows the command' if followed else ''}"
 
@@ -359,8 +356,18 @@ def no_test(diagnosis: Diagnosis) -> str:
 
 def gain_rows(diagnosis: Diagnosis) -> list[tuple[str, ChannelGain]]:
     """The gain per channel, in words, of the channels that have one."""
-    pairs = ((CHANNELS[name], getattr(diagnosis.gain, name)) for name in ("encoder", "accel"))
+    pairs = ((words, getattr(diagnosis.gain, name)) for name, words in CHANNELS.items())
     return [(name, gain) for name, gain in pairs if gain is not None]
+
+
+def ahead_times(diagnosis: Diagnosis) -> list[str]:
+    """The times ahead that gains are told for."""
+    return list(dict.fromkeys(time for row in diagnosis.gain.runs for time in row.ahead))
+
+
+def any_step(diagnosis: Diagnosis) -> bool:
+    """Whether a run is a step test."""
+    return any(row.measured for row in diagnosis.gain.runs)
 
 
 def step_words(measures: dict[str, float | None], repeats: Mapping[str, float] = MappingProxyType({})) -> str:
@@ -411,7 +418,7 @@ def between_runs(diagnosis: Diagnosis) -> str:
             "whose voltage differs between tests does that.")
 
 
-def why_lost(cause: RankedCause, first: RankedCause | None, named: bool) -> str:
+def why_lost(cause: RankedCause, first: RankedCause, named: bool) -> str:
     """Why a candidate stands where it does: its own note, or what the numbers say."""
     if named:
         return "named as a cause"
@@ -423,15 +430,15 @@ def why_lost(cause: RankedCause, first: RankedCause | None, named: bool) -> str:
         return _beside(cause, first)
     if cause.held_out_gain is not None and cause.held_out_gain <= 0.0:
         return "does not help on unseen runs"
-    if first is not None and first.delta_chi2 - cause.delta_chi2 > 4.0:
+    if first.delta_chi2 - cause.delta_chi2 > 4.0:
         return f"explains less: 2 Δln L is {number(first.delta_chi2 - cause.delta_chi2)} below the first's"
     return "as good as the first on these runs" if cause.probability > 0.1 else "no better than the first"
 
 
-def _beside(cause: RankedCause, first: RankedCause | None) -> str:
+def _beside(cause: RankedCause, first: RankedCause) -> str:
     """A candidate's note; where it was tried beside the first, also what it adds to that one."""
     note = plain(cause.note)
-    if first is None or not note.startswith("as part of") or cause_title(first.effect, first.at) not in note:
+    if not note.startswith("as part of") or cause_title(first.effect, first.at) not in note:
         return note
     more = cause.delta_chi2 - first.delta_chi2
     return f"{note}: adds {f'{number(more)} to 2 Δln L, too little' if more > 1.0 else 'nothing to 2 Δln L'}"

@@ -34,8 +34,8 @@ def test_a_residual_that_knows_nothing_of_the_command_stays_in_its_band_at_99_of
     for _ in range(300):
         error, command = (signal.lfilter([1.0], [1.0, -pole], rng.normal(size=1000)) for pole in (colour, 0.95))
         found = remaining.command_correlation(error, command)
-        outside.append(np.mean(np.abs(found.correlation) > found.bound))
-        naive.append(np.mean(np.abs(found.correlation) > remaining.BAND / np.sqrt(1000)))
+        outside.append(np.mean(np.abs(found.values) > found.bound))
+        naive.append(np.mean(np.abs(found.values) > remaining.BAND / np.sqrt(1000)))
     assert 0.002 <= np.mean(outside) <= 0.025
     assert colour == 0.0 or np.mean(naive) > 0.1
 
@@ -44,11 +44,11 @@ def test_a_residual_that_follows_the_command_leaves_the_band_at_its_lag_alone() 
     rng = np.random.default_rng(8)
     command = rng.normal(size=2000)
     later = remaining.command_correlation(0.3 * np.roll(command, 7) + rng.normal(size=2000), command)
-    assert later.lags[np.argmax(later.correlation)] == 7 and 1 <= later.outside <= 2 and later.asked == 25
+    assert later.lags[np.argmax(later.values)] == 7 and 1 <= later.outside <= 2 and later.asked == 25
     before = remaining.command_correlation(0.3 * np.roll(command, -7) + rng.normal(size=2000), command)
-    assert before.lags[np.argmax(before.correlation)] == -7 and before.outside <= 1     # feedback accuses nobody
+    assert before.lags[np.argmax(before.values)] == -7 and before.outside <= 1     # feedback accuses nobody
     still = remaining.command_correlation(np.ones(50), np.zeros(50))
-    assert still.outside == 0 and not still.correlation.any()
+    assert still.outside == 0 and not still.values.any()
 
 
 def test_the_autocorrelation_is_what_its_definition_says() -> None:
@@ -56,7 +56,7 @@ def test_the_autocorrelation_is_what_its_definition_says() -> None:
     e = rng.normal(size=300)
     c = e - e.mean()
     found = remaining.whiteness(e)
-    assert found.autocorrelation == pytest.approx([c[k:] @ c[:-k] / (c @ c) for k in range(1, 26)])
+    assert found.values == pytest.approx([c[k:] @ c[:-k] / (c @ c) for k in range(1, 26)])
     assert found.bound == pytest.approx(2.5758 / np.sqrt(300), rel=1e-4) and found.white
 
 
@@ -99,7 +99,7 @@ def test_white_noise_passes_and_a_slow_drift_fails() -> None:
 
 def test_the_density_of_white_noise_is_its_power_over_the_band() -> None:
     rng = np.random.default_rng(3)
-    frequency, density = remaining.amplitude_density(rng.normal(0.0, 2.0, 200_000), 500.0)
+    frequency, density = figures._mean_density([rng.normal(0.0, 2.0, 200_000)], 500.0)
     assert np.sqrt(np.mean(density[1:-1] ** 2)) == pytest.approx(2.0 / np.sqrt(250.0), rel=0.02)
     assert frequency[0] > 0.0 and frequency[-1] == 250.0
 
