@@ -71,7 +71,6 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     said, best, nothing = finding.said, finding.fit, search.fits[frozenset()]
     report("judging on runs left out", 0.92)
     judged = unseen(search, finding)
-    values, constants = estimates(best, finding.rough, judged.left_out)
     known = standing(data, said.causes, best.space.rig_at(best.x))
     told = completed(finding.odds, said.causes, known)
     decision = verdict(said, told, search.screened, finding.left.is_noise, judged.against, known)
@@ -82,13 +81,15 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
         order, told = in_order(replace(told, causes={**told.causes, **laws}), said.causes,
                                partial(bought, search, said.causes), finding.odds.draws.error)
     told = told if finding.left.is_noise else with_outside(told)
+    shown, rough = (nothing, nothing) if said.causes and not order else (best, finding.rough)
+    values, constants = estimates(shown, rough, judged.left_out)
     causes = [Cause(effect=key[0], at=key[1], probability=told.causes[key], parameters=values[key],
                     stability=finding.by_law.stability.get(key, 0.0),
                     rivals=rivals(told, said.causes, key, known)) for key in order]
     refit_rig = nothing.space.rig_at(nothing.x)
     extended = best.space.rig_at(best.x) if causes else refit_rig
     comparisons = [RunComparison(run, before, refit, after if causes else None, seconds_ahead(data, k), part,
-                                 best.space.zero(best.x, data.zero_group[k]))
+                                 shown.space.zero(shown.x, data.zero_group[k]))
                    for k, (run, before, refit, after, part) in enumerate(
                        zip(runs, *judged.simulations, parts, strict=True))]
     report("choosing the next experiment", 0.96)

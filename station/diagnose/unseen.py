@@ -29,7 +29,8 @@ class Unseen:
     """Every run by fits that left it out."""
 
     left_out: list[Fit]
-    """Of the causes that are said, one without each run."""
+    """Of the causes that hold, one without each run: those said, or none where more than noise is left and runs left
+    out speak against them."""
     densities: dict[Causes, np.ndarray]
     """(runs) ln of the density of each run, of these causes and of none."""
     gains: np.ndarray
@@ -37,9 +38,9 @@ class Unseen:
     relieved: float
     """What they raise the density of what is known beside the runs by: the rig's constants, and the clocks."""
     simulations: tuple[list[Simulation], list[Simulation], list[Simulation]]
-    """As the rig file says, with its constants re-fitted, and with the causes."""
+    """As the rig file says, with its constants re-fitted, and with the causes that hold."""
     ahead: tuple[Ahead, Ahead]
-    """nrmse of predictions by the rig file, and with the causes."""
+    """nrmse of predictions by the rig file, and with these."""
 
     @property
     def against(self) -> bool:
@@ -57,8 +58,10 @@ def unseen(search: Selection, finding: Finding) -> Unseen:
     alone, said = left_out[frozenset()], left_out[causes]
     refit = simulate_unseen(predictor, alone)
     densities = {keys: log_densities(predictor, search.weighing, fits) for keys, fits in left_out.items()}
+    gains = densities[causes] - densities[frozenset()]
     relieved = (relief(alone, said) + search.clock_score(finding.fit.space.hypothesis)
                 - search.clock_score(nothing.space.hypothesis))
-    return Unseen(said, densities, densities[causes] - densities[frozenset()], relieved,
-                  (simulate_unseen(predictor, unfitted), refit, simulate_unseen(predictor, said) if causes else refit),
-                  (predicted_ahead(predictor, unfitted), predicted_ahead(predictor, said)))
+    holding = alone if not finding.left.is_noise and contradicted(gains, relieved) else said
+    after = refit if holding is alone else simulate_unseen(predictor, holding)
+    return Unseen(holding, densities, gains, relieved, (simulate_unseen(predictor, unfitted), refit, after),
+                  (predicted_ahead(predictor, unfitted), predicted_ahead(predictor, holding)))

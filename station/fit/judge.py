@@ -41,9 +41,9 @@ def judge(space: Parameters, unseen: np.ndarray, seen: np.ndarray, found: Fit, h
     rows = []
     for name, nominally, angle, at, d, share in zip(names, nominals, angles, moved.tolist(), deviation.tolist(),
                                                     determined.tolist(), strict=True):
-        low, value, high = (nominally + away if angle else nominally * math.exp(away)
-                            for away in (at - NORMAL * d, at, at + NORMAL * d))
-        rows.append(FittedConstant(name, nominally, value, *sorted((low, high)), share))
+        one, value, other = (nominally + away if angle else nominally * math.exp(away)
+                             for away in (at - NORMAL * d, at, at + NORMAL * d))
+        rows.append(FittedConstant(name, nominally, value, min(one, other), max(one, other), share))
     loose = [row.path for row in rows if row.determined < HALF]
     far = [name for name, size in zip(names, np.abs(moved) / np.sqrt(np.diag(stated)), strict=True) if size > FAR]
     torque = powers(space.paths, 0)
