@@ -123,7 +123,7 @@ def station_turn(folder: Path, url: str, ticks: int, rig: Rig | None = None, vie
         view = LiveView(rig, url=viewer)
         view.wait()
         views.append(view)
-        return LogAndView(logs[-1], view)
+        return LogAndView(logs[-1], view, print)
 
     seen = faults = unanswered = apart = late = lost = 0
     latency: list[float] = []

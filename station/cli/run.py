@@ -118,7 +118,7 @@ def log_sink(out: Path, overwrite: bool = False, shown: Callable[[], LiveView] |
             return log
         from station.view.live import LogAndView
 
-        return LogAndView(log, shown())
+        return LogAndView(log, shown(), note)
 
     return make
 

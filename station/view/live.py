@@ -153,10 +153,13 @@ def shared_view(rig: Rig) -> Callable[[], LiveView]:
 
 
 class LogAndView:
-    """A sink for the loop: each row goes to the log first, whose errors count, then to the view, whose never do."""
+    """A sink for the loop: each row goes to the log first, whose errors count, then to the view, whose never do.
 
-    def __init__(self, log: Sink, view: LiveView) -> None:
-        self._log, self._view = log, view
+    ``tell`` is called at the end with what the view has missed, if anything.
+    """
+
+    def __init__(self, log: Sink, view: LiveView, tell: Callable[[str], None]) -> None:
+        self._log, self._view, self._tell = log, view, tell
 
     def append(self, row: Sequence[float]) -> None:
         """Log the row, then offer it to the view."""
@@ -173,6 +176,9 @@ class LogAndView:
             self._log.close()
         finally:
             self._view.close()
+            if missed := self._view.dropped:
+                why = f" ({self._view.failure})" if self._view.failure else ""
+                self._tell(f"the live view missed {missed} rows{why}; the log is written apart from it")
 
 
 def _blueprint() -> Any:

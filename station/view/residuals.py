@@ -27,6 +27,7 @@ from station.view.wording import CHANNELS
 LIKE_NOISE = 1.1
 """Times the standard deviation of a reading up to which a residual is no larger than noise: a tenth more."""
 
+
 @dataclass(frozen=True)
 class Residual:
     """One channel of one run, measured less predicted one sample ahead, counts, rows that were not logged left out."""

@@ -204,7 +204,7 @@ def test_an_accelerometer_that_is_stuck_or_saturated_is_named_by_the_check_and_d
 def test_a_viewer_that_is_lost_leaves_the_run_complete(rows, bench):
     from station.view.live import LiveView, LogAndView
 
-    views = []
+    views, told = [], []
 
     class Lost(LiveView):
         def _work(self, url):
@@ -212,8 +212,9 @@ def test_a_viewer_that_is_lost_leaves_the_run_complete(rows, bench):
 
     def sink(metadata):
         views.append(Lost(rows.rig, url="rerun+http://127.0.0.1:1/proxy"))
-        return LogAndView(rows.sink(metadata), views[-1])
+        return LogAndView(rows.sink(metadata), views[-1], told.append)
 
     result = rows.test(bench.port, P, log_sink=sink)
     assert result.counts.samples == 600 == len(rows.run)
     assert views[0].failure == "the viewer was killed" and views[0].dropped == 600
+    assert told == ["the live view missed 600 rows (the viewer was killed); the log is written apart from it"]

@@ -88,7 +88,8 @@ def test_the_log_comes_first_and_its_errors_count() -> None:
             self.closed = True
 
     log, view = Log(), Waiting(RIG, url=NOBODY, capacity=1)
-    both = LogAndView(log, view)
+    told: list[str] = []
+    both = LogAndView(log, view, told.append)
     for i in range(3):
         both.append(row(i))
     with pytest.raises(WorkError, match="disk full"):
@@ -97,6 +98,7 @@ def test_the_log_comes_first_and_its_errors_count() -> None:
     both.close()
     assert len(log.rows) == 3 and log.closed and log.metadata.seed == 1
     assert view.dropped == 3
+    assert told == ["the live view missed 3 rows; the log is written apart from it"]
 
 
 def test_statistics_are_off_and_the_users_own_settings_untouched(monkeypatch: pytest.MonkeyPatch,

@@ -14,7 +14,7 @@ from station.rig import Rig, load_rig
 from station.runs.run import Run, RunMetadata
 from station.view import remaining
 from station.view.report import report_html
-from station.view.residuals import residuals
+from station.view.residuals import Residual, residuals
 from tests.view import made
 from tests.view.test_report import Page
 
@@ -107,3 +107,9 @@ def test_the_section_says_which_residual_it_shows(late: list[Run]) -> None:
     # A command's torque shows after so long on the arm: 1/300 of its amplifier's limit (station.estimation.observer).
     assert "forgets an error of the angle within 0.043 s" in text and "section 16.6" in text
     assert "what is left is noise and stated uncertainty; one sample ahead no residual is larger" in text
+
+
+@pytest.mark.parametrize(("times", "larger"), [(1.09, False), (1.11, True)])
+def test_a_residual_is_larger_than_noise_from_a_tenth_more_on(times: float, larger: bool) -> None:
+    left = times * SIGMA * np.tile([1.0, -1.0], 50)
+    assert Residual(1, "encoder", left, left, 0.0 * left, noise=SIGMA, horizon=0.05).larger is larger
