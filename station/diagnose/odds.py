@@ -21,7 +21,7 @@ from station.diagnose.result import Estimate
 from station.diagnose.selection import Selection
 from station.diagnose.thresholds import BEYOND, CLOSE, MENTION, OUTSIDE, VARIES
 from station.estimation.dataset import SEVERAL
-from station.estimation.identifiability import parameter_states
+from station.estimation.identifiability import NORMAL, parameter_states
 from station.estimation.least_squares import Fit
 from station.estimation.noise import QUANTISATION
 from station.estimation.parameters import Causes, Key
@@ -32,8 +32,6 @@ from station.model.units import UNITS
 RESAMPLES = 400
 """A probability of one half is then known to 0.025."""
 SEED = 20240229
-NORMAL = 1.96
-"""Standard deviations that bound 95 % of a normal distribution."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -218,8 +218,7 @@ class RunComparison:
     @property
     def channels(self) -> list[str]:
         """The channels that were measured and simulated."""
-        return [c for c in ("encoder", "accel") if getattr(self.run, c) is not None
-                and getattr(self.before, c) is not None]
+        return [c for c in CHANNELS if getattr(self.run, c) is not None and getattr(self.before, c) is not None]
 
     @property
     def rows(self) -> np.ndarray:

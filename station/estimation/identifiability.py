@@ -27,6 +27,8 @@ from station.model.effects import Effect
 from station.model.units import UnknownUnitError, dimension, powers
 
 State = Literal["determined", "at_bound", "traded_off", "not_excited"]
+NORMAL = 1.96
+"""Standard deviations that bound 95 % of a normal distribution."""
 HALF = 0.5
 """Share of the variance from which on the prior holds a value rather than the runs."""
 MOVES, FOLLOWS = 0.5, 0.95

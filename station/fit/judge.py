@@ -7,14 +7,12 @@ import math
 import numpy as np
 import scipy.linalg
 
-from station.estimation.identifiability import HALF
+from station.estimation.identifiability import HALF, NORMAL
 from station.estimation.least_squares import Fit
 from station.estimation.parameters import Parameters
 from station.fit.result import FitResult, FittedConstant, FlatDirection
 from station.model.units import powers
 
-NORMAL = 1.96
-"""Standard deviations that bound 95 % of a normal distribution."""
 FAR = 4.0
 """Stated standard deviations beyond which a constant is warned about."""
 

@@ -133,7 +133,7 @@ class LiveView:
         for command, encoder, accel in zip(columns["command"], columns["encoder"], columns["accel"], strict=True):
             self._observer.see(command, encoder, accel)
         points = drawn_points(np.array([self._observer.angle]), self._observer.deflection[None, :],
-                                  drawn_length(self._rig), EXAGGERATION)
+                              drawn_length(self._rig), EXAGGERATION)
         recording.set_time(TIMELINE, duration=float(columns["t"][-1]))
         recording.log("arm/beam", rr.LineStrips3D(points.astype(np.float32), radii=0.005))
         recording.log("arm/tip", rr.Points3D(points[:, -1].astype(np.float32), radii=0.011))
