@@ -39,14 +39,15 @@ QUICKEST, SLOWEST = 3.0, 0.5
 needs three samples to forget, and after half a second a prediction reads what a whole run reads."""
 ROUNDS = 40
 """Halvings of the logarithm of the torque's size, for the nominal rig."""
-SIZES = (1e-4, 1e7)
-"""Counts of command between which it is looked for."""
+SIZES = math.log(1e-8), math.log(1e4)
+"""Logarithms of the amplifier's limits between which it is looked for, from below."""
 STEPS = 6
 """Most steps of the secant method from there to another rig's."""
 NEAR = 1e-5
 """Error of the memory's logarithm from which on one step more is the last: it leaves the square of that."""
-SLOPE = -0.3
-"""Change of the memory's logarithm by that of the size, to begin with: of a double integrator -1/3."""
+SLOPE, FLAT = -1.0 / 3.0, -0.05
+"""Change of the memory's logarithm by that of the size, of a double integrator and to begin with; and from which on a
+larger torque is taken to make an observer no quicker, for it rings."""
 FASTEST = 20.0, 1000.0
 """Over the horizon, and rad/s: of the nominal rig the modes that decay or swing faster than both are not corrected."""
 LONGEST = 4.0
@@ -199,20 +200,34 @@ def observers(rig: Rig, noise: float, horizons: Sequence[float] | None = None) -
 
 @functools.lru_cache(maxsize=64)
 def _quick(linear: str, variance: float) -> float:
-    """Seconds: memory of the observer that takes what it missed for a torque of ``UNMODELLED``."""
+    """Seconds: memory of the observer that takes what it missed for a torque of ``UNMODELLED``, or for one so much less
+    that more would still make it quicker by half of what it does to a double integrator's."""
     rig = Rig.model_validate_json(linear)
-    model, log_size = build(rig, 0.1, 1e-3), math.log(UNMODELLED * rig.amplifier.limit)
+    model, limit = build(rig, 0.1, 1e-3), math.log(rig.amplifier.limit)
 
     def forgets(log_horizon: float) -> bool:
         horizon = math.exp(log_horizon)
-        return _forgets(_filter(model, horizon, _slowest(model, horizon)), variance, horizon, log_size)
+        system = _filter(model, horizon, _slowest(model, horizon))
+        sizes = limit + np.arange(math.log(UNMODELLED), SIZES[0], -1.0)
+        return any(_forgets(system, variance, horizon, size) and quickens(system, horizon, size)
+                   for size in sizes.tolist())
+
+    def quickens(system: _Filter, horizon: float, log_size: float) -> bool:
+        """Whether a larger torque makes an observer quicker; with a fine encoder it may ring by less than models lack."""
+        slow, quick = (_memory(system, variance, horizon, log_size + step) for step in (-0.5, 0.5))
+        return quick - slow < 0.5 * SLOPE
 
     return math.exp(_crossing(forgets, math.log(QUICKEST * rig.period), math.log(SLOWEST)))
 
 
 def _forgets(system: _Filter, variance: float, horizon: float, log_size: float) -> bool:
     """Whether a wrong angle is forgotten within the horizon where the torque has that size."""
-    return _excess(system, horizon, _gain(system, variance, log_size, _doublings(horizon, system.period))) < 0.0
+    return _memory(system, variance, horizon, log_size) < 0.0
+
+
+def _memory(system: _Filter, variance: float, horizon: float, log_size: float) -> float:
+    """Logarithm of the time after which a wrong angle is forgotten where the torque has that size, over the horizon."""
+    return _excess(system, horizon, _gain(system, variance, log_size, _doublings(horizon, system.period)))
 
 
 def _crossing(beyond: Callable[[float], bool], low: float, high: float) -> float:
@@ -234,10 +249,13 @@ def _observer(linear: str, variance: float, horizon: float) -> Observer:
     """Of a rig as JSON; kept, since a diagnosis asks for the same ones again and again."""
     if math.isinf(horizon):
         return Observer(horizon, variance)
-    model = build(Rig.model_validate_json(linear), 0.1, 1e-3)
+    rig = Rig.model_validate_json(linear)
+    model = build(rig, 0.1, 1e-3)
     slowest = _slowest(model, horizon)
     forgets = functools.partial(_forgets, _filter(model, horizon, slowest), variance, horizon)
-    log_size = _crossing(forgets, *(math.log(s) for s in SIZES))
+    sizes = np.arange(*SIZES) + math.log(rig.amplifier.limit)
+    above = next((size for size in sizes[1:].tolist() if forgets(size)), float(sizes[-1]))
+    log_size = _crossing(forgets, above - 1.0, above)
     return Observer(horizon, variance, slowest.size, log_size).near(model)
 
 
@@ -286,15 +304,18 @@ def _excess(system, horizon, gain):
 @njit(cache=True, nogil=True)
 def _designed(system, variance, horizon, log_size, slope):
     """(s) gain whose memory is the horizon, the logarithm of the torque's size, and the slope there."""
-    before, doublings = log_size, _doublings(horizon, system.period)
+    before, doublings, most = log_size, _doublings(horizon, system.period), LONGEST
     gain = _gain(system, variance, before, doublings)
     missed = _excess(system, horizon, gain)
     for _ in range(STEPS):
-        here = before - min(max(missed / slope, -LONGEST), LONGEST)
-        gain = _gain(system, variance, here, doublings)
+        here = before - min(max(missed / slope, -most), LONGEST)
+        found = _gain(system, variance, here, doublings)
         if abs(missed) < NEAR:
-            return gain, here, slope
-        now = _excess(system, horizon, gain)
-        slope = min((now - missed) / (here - before), -0.05)
-        before, missed = here, now
+            return found, here, slope
+        now = _excess(system, horizon, found)
+        if here > before and now - missed > FLAT * (here - before):
+            most = 0.5 * (here - before)
+            continue
+        slope = min((now - missed) / (here - before), FLAT)
+        gain, before, missed = found, here, now
     return gain, before, slope

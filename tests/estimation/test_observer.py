@@ -70,6 +70,31 @@ def test_the_finer_an_encoder_the_quicker_a_torque_shows(shape: str) -> None:
     assert found[0] > found[1] > found[2] > 3.0 * rig.period
 
 
+@pytest.mark.parametrize("counts", [2.0**16, 2.0**20, 2.0**24])
+@pytest.mark.parametrize("shape", RIGS)
+def test_however_fine_an_encoder_a_wrong_angle_is_forgotten_after_the_quick_horizon(shape: str, counts: float) -> None:
+    """The torque that models lack may by then be so large that an observer that reckons with it rings."""
+    rig = bare(shape).model_copy(update={"encoder": Encoder(counts_per_revolution=counts)})
+    quick = observers(rig, 0.0)[0]
+    errors = np.abs(errors_left(rig, quick.horizon, 0.0))
+    assert errors.sum() * rig.period / errors[0] == pytest.approx(quick.horizon, rel=0.02)
+    assert quick.log_size - math.log(rig.amplifier.limit) < math.log(UNMODELLED) + 0.1
+    assert errors[-1] < 0.02 * errors[0]
+
+
+@pytest.mark.parametrize("counts", [2.0**12, 2.0**20])
+@pytest.mark.parametrize("shape", RIGS)
+def test_the_commands_unit_does_not_change_an_observer(shape: str, counts: float) -> None:
+    """Counts, volts or shares of one: the motor is the same."""
+    rig = bare(shape).model_copy(update={"encoder": Encoder(counts_per_revolution=counts)})
+    unit = rig.amplifier.limit
+    other = rig.with_constants({"motor.gain": rig.motor.gain * unit}).model_copy(
+        update={"amplifier": rig.amplifier.model_copy(update={"limit": 1.0})})
+    one, two = (observers(r, 0.0)[0] for r in (rig, other))
+    assert two.horizon == pytest.approx(one.horizon, rel=1e-6)
+    assert two.log_size == pytest.approx(one.log_size - math.log(unit), abs=1e-4)
+
+
 OTHER = [("two-mass", {"motor.inertia": 0.1}), ("servo", {"motor.damping": 20.0}), ("axis", {"motor.gain": 30.0}),
          ("sflr", {"drive.stiffness": 600.0}), ("sflr", {"drive.damping": 10.0}), ("sflr", {"motor.damping": 0.15}),
          ("sflr", {"motor.gain": 20.0, "motor.inertia": 20.0}), ("sflr", {"beam.length": 0.5}),
@@ -83,6 +108,17 @@ def test_another_rig_forgets_as_fast_as_the_nominal_one(shape: str, factors: dic
     rig = nominal.with_constants({path: nominal.constants()[path] * factor for path, factor in factors.items()})
     errors = np.abs(errors_left(rig, 0.05, 0.1, nominal))
     assert errors.sum() * rig.period / errors[0] == pytest.approx(0.05, rel=1e-3)
+
+
+@pytest.mark.parametrize(("shape", "factors"), OTHER, ids=lambda x: x if isinstance(x, str) else "-".join(x))
+def test_another_rig_with_a_fine_encoder_does_so_too(shape: str, factors: dict[str, float]) -> None:
+    """Its quick horizon is three to six samples, about as short as an observer's memory can be."""
+    nominal = bare(shape).model_copy(update={"encoder": Encoder(counts_per_revolution=2.0**20)})
+    horizon = observers(nominal, 0.0)[0].horizon
+    rig = nominal.with_constants({path: nominal.constants()[path] * factor for path, factor in factors.items()})
+    errors = np.abs(errors_left(rig, horizon, 0.0, nominal))
+    assert 3.0 < horizon / rig.period < 6.0
+    assert errors.sum() * rig.period / errors[0] == pytest.approx(horizon, rel=0.01)
 
 
 @pytest.mark.parametrize("elements", [8, 16, 13])
