@@ -102,6 +102,11 @@ class Dataset:
                 for run, seen, warm in zip(self.runs, self.logged, self.warm, strict=True)]
         return self.sigma[-1] / np.sqrt(rows) if self.has_accel else np.zeros(len(rows))
 
+    @cached_property
+    def start_error(self) -> np.ndarray:
+        """(runs) standard error of the starting angle as read, counts, beside rounding's."""
+        return np.array([self.noise[0] / math.sqrt(rest_start(run).stop) for run in self.runs])
+
     @property
     def own(self) -> np.ndarray:
         """(runs, 4) what each run has of its own, before a fit.

@@ -16,10 +16,10 @@ from scipy.optimize import minimize
 
 from station.estimation.dataset import SEVERAL, Dataset
 from station.estimation.likelihood import (
-    LEAST_DIFFERENCE,
     Weighing,
     cost,
     differ_precision,
+    least_differ,
     nuisance_precision,
     rho,
     temperatures,
@@ -42,6 +42,8 @@ PLACE_STEP = 0.02
 """Finite-difference step of the motor's place in a gap (artanh of its share)."""
 OFFSET_STEP = 0.1
 """Finite-difference step of the accelerometer's offset, counts; of the starting angle half a count."""
+IDLE = 0.005
+"""Share of the amplifier's limit that commands are taken for, at least, where a step is one of them."""
 LARGEST = np.array([0.3, 0.01])
 """Most by which runs differ: a share of the command (what the voltage of a supply that nothing regulates, a battery or
 a wall adapter, may differ by from one day to another), and of the amplifier's limit (an offset of its input)."""
@@ -172,7 +174,7 @@ class Fit(_Point):
         differ = np.asarray(sizes, dtype=float)
         found = np.broadcast_to(self.nuisance, (*differ.shape[:-1], *self.nuisance.shape)).copy()
         if len(self.nuisance) >= SEVERAL:
-            found[..., -2:] = differ_precision(differ)[..., None, :]
+            found[..., -2:] = differ_precision(self.space.rig, differ)[..., None, :]
         return found
 
     def _by_run(self, weighing: Weighing, drawn: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -236,10 +238,11 @@ class Fit(_Point):
         """
         if len(self.squares) < SEVERAL:
             return 0.0, 0.0
+        least = least_differ(self.space.rig)
         if not any(may):
-            return LEAST_DIFFERENCE, LEAST_DIFFERENCE
+            return float(least[0]), float(least[1])
         p, (matrices, slopes) = self.space.size, self._by_run(weighing)
-        ends = np.log([np.full(2, LEAST_DIFFERENCE), np.where(may, largest_differ(self.space.rig), LEAST_DIFFERENCE)])
+        ends = np.log([least, np.where(may, largest_differ(self.space.rig), least)])
 
         def surprise(logs: np.ndarray) -> tuple[float, np.ndarray]:
             sizes = np.exp(logs)
@@ -266,8 +269,9 @@ class Fit(_Point):
         if len(self.squares) < SEVERAL:
             return np.zeros(2)
         sizes = np.tile(weighing.differ, (2, SIZES, 1))
-        for k, end in enumerate(largest_differ(self.space.rig)):
-            sizes[k, :, k] = np.exp(np.linspace(np.log(LEAST_DIFFERENCE), np.log(end), SIZES))
+        ends = np.log([least_differ(self.space.rig), largest_differ(self.space.rig)])
+        for k, logs in enumerate(np.linspace(ends[0], ends[1], SIZES).T):
+            sizes[k, :, k] = np.exp(logs)
         value, volume, _ = self._integrated(*self._by_run(weighing),
                                             self.own_precision(np.vstack([weighing.differ, *sizes])))
         log_density = 0.5 * (volume - value)
@@ -426,7 +430,8 @@ def largest_differ(rig: Rig) -> np.ndarray:
 
 def own_steps(data: Dataset) -> np.ndarray:
     """(4) finite-difference steps of what runs have of their own."""
-    return np.array([0.5 * data.rig.angle_per_count, OFFSET_STEP, STEP, STEP * max(data.rms_command, 1.0)])
+    command = max(data.rms_command, IDLE * data.rig.amplifier.limit)
+    return np.array([0.5 * data.rig.angle_per_count, OFFSET_STEP, STEP, STEP * command])
 
 
 def objective(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarray, own: np.ndarray) -> float:

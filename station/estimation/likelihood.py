@@ -40,6 +40,7 @@ import numpy as np
 from scipy import special
 
 from station.estimation.dataset import Dataset
+from station.rig import Rig
 
 FREEDOMS = np.array([2.0, 8.0, 32.0, 1e9])
 """Degrees of freedom nu that are tried: from runs that have nothing in common to errors in strict proportion."""
@@ -51,8 +52,8 @@ NEAR = 0.25
 """Longest of these: half of what lies between two of the starts."""
 NUISANCES = (0.35, 0.5)
 """Prior sigmas of a run's starting angle and accelerometer offset, counts: rounding's, and drift since it was read."""
-LEAST_DIFFERENCE = 1e-6
-"""Share of the command, and counts, by which runs differ where they do not."""
+LEAST = np.array([1e-6, 5e-9])
+"""By which runs differ where they do not: a share of the command, and of the amplifier's limit."""
 ROUNDS = 3
 """In which sizes and numbers of independent errors settle."""
 TAPER = 0.1
@@ -176,11 +177,17 @@ def temperatures(curvatures: np.ndarray, slopes: np.ndarray, prior: np.ndarray) 
 def nuisance_precision(data: Dataset, differ: tuple[float, float]) -> np.ndarray:
     """(runs, c) prior precisions of what each run has of its own (``Dataset.own``, its free columns)."""
     angle, drift = NUISANCES
+    start = np.hypot(angle, data.start_error) * data.rig.angle_per_count
     offset = np.hypot(drift, data.offset_error)
-    found = [np.full_like(offset, angle * data.rig.angle_per_count) ** -2.0, offset**-2.0]
-    return np.stack([*found, *np.outer(differ_precision(differ), np.ones_like(offset))], axis=1)[:, data.free]
+    found = [start**-2.0, offset**-2.0]
+    return np.stack([*found, *np.outer(differ_precision(data.rig, differ), np.ones_like(offset))], axis=1)[:, data.free]
 
 
-def differ_precision(differ: tuple[float, float] | np.ndarray) -> np.ndarray:
+def least_differ(rig: Rig) -> np.ndarray:
+    """(2) by how much runs differ that do not: a share of the command, and a constant (counts of command)."""
+    return LEAST * np.array([1.0, rig.amplifier.limit])
+
+
+def differ_precision(rig: Rig, differ: tuple[float, float] | np.ndarray) -> np.ndarray:
     """(..., 2) prior precisions of what the motor does more in a run, a share and a constant."""
-    return np.maximum(differ, LEAST_DIFFERENCE) ** -2.0
+    return np.maximum(differ, least_differ(rig)) ** -2.0

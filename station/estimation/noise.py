@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from station.runs.run import Run
@@ -16,10 +18,16 @@ SMOOTH = 5.0
 counts, for its rounding error runs through all its values meanwhile."""
 RESTING = 0.004
 """Share of a sample while nothing crosses a count: one or two independent errors per rest."""
+ASKED = 0.01
+"""Share of a run's largest command that asks nothing yet: that of a loop that holds what rests, toggling by a count."""
 RESTS = 100
 """Most rows at rest that say where a run begins."""
 SPAN = 10
 """Rows either side over which the encoder's speed is taken."""
+ORDER = 8
+"""Of the differences in which nothing of a motion is left that is smooth over as many rows."""
+BLOCK = 50
+"""Rows whose differences are taken together."""
 
 
 def rounding_shares(encoder: np.ndarray) -> np.ndarray:
@@ -46,8 +54,9 @@ def _beyond_play(encoder: np.ndarray) -> np.ndarray:
 
 def rest_rows(run: Run) -> int:
     """Number of first rows in which nothing has been asked of the rig and nothing has moved."""
+    asked = np.abs(run.command - run.command[0])
     moved = np.flatnonzero((run.reference != run.reference[0]) | (np.abs(run.encoder - run.encoder[0]) > 1.0)
-                           | (np.abs(run.command - run.command[0]) > 1.0))
+                           | (asked > ASKED * asked.max()))
     return int(moved[0]) if moved.size else len(run.t)
 
 
@@ -59,8 +68,9 @@ def rest_start(run: Run) -> slice:
 def noise_sigmas(runs: list[Run]) -> tuple[float, float, int]:
     """Standard deviations before rounding (encoder, accelerometer), counts, and the rows that they rest on.
 
-    Pooled over the runs' rests, rows that were logged alone; without any, the accelerometer's is a default and the rows
-    are 1.  Rounding's own variance q^2/12, which a reading that moves at all holds, is taken off.
+    Pooled over the runs' rests, rows that were logged alone; without any, the encoder's is its ``scatter``, the
+    accelerometer's is a default and the rows are 1.  Rounding's own variance q^2/12, which a reading that moves at all
+    holds, is taken off.
     """
     rests = [(run, np.flatnonzero(run.logged[: rest_rows(run)])) for run in runs]
 
@@ -71,10 +81,27 @@ def noise_sigmas(runs: list[Run]) -> tuple[float, float, int]:
         return sum(float(part @ part) for part in centred), sum(part.size - 1 for part in centred)
 
     (encoder, encoder_rows), (accel, accel_rows) = pooled("encoder"), pooled("accel")
-    variances = (encoder / encoder_rows if encoder_rows else 0.0,
+    variances = (encoder / encoder_rows if encoder_rows else scatter(runs),
                  accel / accel_rows if accel_rows else ACCEL_DEFAULT**2 + QUANTISATION)
     sigmas = [float(np.sqrt(max(variance - QUANTISATION, 0.0))) for variance in variances]
     return sigmas[0], sigmas[1], max(accel_rows or encoder_rows, 1)
+
+
+def scatter(runs: list[Run]) -> float:
+    """Variance of encoders' readings about a smooth motion, counts^2; 0 where rounding could make it.
+
+    Mean square of their m-th differences over that of white noise of variance one, C(2m, m) (Hall, Kay and Titterington,
+    Biometrika 77, 1990), in the median of all blocks: blows are no noise.  Rounding errors of half a count make
+    differences of 2^m / 2 at most.
+    """
+    whole = math.comb(2 * ORDER, ORDER)
+    found = []
+    for run in runs:
+        known = np.convolve(run.logged, np.ones(ORDER + 1), "valid") > ORDER
+        squares = np.diff(run.encoder, ORDER)[known] ** 2 / whole
+        found += [float(np.mean(block)) for block in np.split(squares, range(BLOCK, squares.size, BLOCK)) if block.size]
+    variance = float(np.median(found)) if found else 0.0
+    return variance if variance > 4.0 ** (ORDER - 1) / whole else 0.0
 
 
 def correlation_time(values: np.ndarray) -> float:

@@ -213,7 +213,7 @@ def _quick(linear: str, variance: float) -> float:
                    for size in sizes.tolist())
 
     def quickens(system: _Filter, horizon: float, log_size: float) -> bool:
-        """Whether a larger torque makes an observer quicker; with a fine encoder it may ring by less than models lack."""
+        """Whether a larger torque makes an observer quicker; a fine encoder's may ring by less than models lack."""
         slow, quick = (_memory(system, variance, horizon, log_size + step) for step in (-0.5, 0.5))
         return quick - slow < 0.5 * SLOPE
 

@@ -13,6 +13,8 @@ from station.runs.step_response import overshoot, rise_time, settling_time
 
 FINAL_SECONDS = 0.1
 """The final error is the mean over so long, at the end of a run."""
+ROUNDING = 1e-5
+"""Relative error of a number in a file of six digits."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,8 @@ class Quality:
 
 def quality(run: Run, limit: float) -> Quality:
     """The figures of a run under a command limit (counts)."""
-    saturated = float(np.mean(np.abs(run.command) >= limit - 0.5))
+    largest = math.floor(limit) if limit > 1.0 and np.array_equal(run.command, np.round(run.command)) else limit
+    saturated = float(np.mean(np.abs(run.command) >= largest * (1.0 - ROUNDING)))
     if run.open_loop:
         return Quality(None, None, None, None, saturated)
     last = max(round(FINAL_SECONDS * run.sample_rate), 1)

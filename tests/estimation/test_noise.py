@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from station.estimation.noise import ACCEL_DEFAULT, RESTING, noise_sigmas, rest_rows, rounding_shares
+from station.estimation.noise import ACCEL_DEFAULT, RESTING, noise_sigmas, rest_rows, rounding_shares, scatter
 from station.runs.run import Run, RunMetadata
 
 
@@ -57,6 +57,25 @@ def test_an_encoder_that_dithers_shows_its_noise():
     still = [run for run in runs if rest_rows(run) == 100]
     assert len(still) > 6
     assert noise_sigmas(still)[0] == pytest.approx(0.45, abs=0.06)
+
+
+@pytest.mark.parametrize("sigma", [2.0, 8.0])
+def test_a_sensor_whose_noise_never_lets_it_rest_shows_it_as_it_moves(sigma):
+    runs = [made(100, seed=seed, encoder_sigma=sigma, rows=2000) for seed in range(3)]
+    jolted = [Run(r.name, r.t, r.reference, r.command, r.encoder + 40.0 * (np.arange(2000) % 700 > 650), r.accel,
+                  r.metadata) for r in runs]
+    assert all(rest_rows(run) < 10 for run in runs)
+    assert noise_sigmas(runs)[0] == pytest.approx(sigma, rel=0.05)
+    assert noise_sigmas(jolted)[0] == pytest.approx(sigma, rel=0.05)
+
+
+@pytest.mark.parametrize("speed", [0.05, 0.5, 0.51, 3.7])
+def test_rounding_is_no_noise_however_fast_an_encoder_moves(speed):
+    rows = np.arange(2000)
+    run = Run("run", rows / 500.0, np.sin(rows), np.sin(rows), np.round(speed * rows), None, RunMetadata())
+    swing = Run("run", rows / 500.0, np.sin(rows), np.sin(rows), np.round(300.0 * np.sin(speed * rows / 30.0)), None,
+                RunMetadata())
+    assert scatter([run]) == 0.0 and noise_sigmas([run, swing])[0] == 0.0
 
 
 def test_a_silent_sensor_has_no_noise_but_its_rounding():
