@@ -90,8 +90,8 @@ def noise_sigmas(runs: list[Run]) -> tuple[float, float, int]:
 def scatter(runs: list[Run]) -> float:
     """Variance of encoders' readings about a smooth motion, counts^2; 0 where rounding could make it.
 
-    Mean square of their m-th differences over that of white noise of variance one, C(2m, m) (Hall, Kay and Titterington,
-    Biometrika 77, 1990), in the median of all blocks: blows are no noise.  Rounding errors of half a count make
+    Mean square of their m-th differences over that of white noise of variance one, C(2m, m), in the median of all
+    blocks: blows are no noise (Hall, Kay and Titterington, Biometrika 77, 1990).  Rounding errors of half a count make
     differences of 2^m / 2 at most.
     """
     whole = math.comb(2 * ORDER, ORDER)

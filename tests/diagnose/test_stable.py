@@ -30,6 +30,8 @@ CLOSE = 0.05
 """Largest change of a probability."""
 CUT = 0.02
 """Share of each run's end."""
+COUNTS = 80.0
+"""Of the command per volt."""
 SEED = 11
 Given = tuple[Rig, tuple[Run, ...]]
 
@@ -92,10 +94,20 @@ def untold(rig: Rig, runs: tuple[Run, ...]) -> Given:
                       for run in runs)
 
 
+def in_volts(rig: Rig, runs: tuple[Run, ...]) -> Given:
+    """The same motor, its commands in another unit (of loops whose controller is not told)."""
+    limits = rig.limits and rig.limits.model_copy(update={"command": rig.command_limit / COUNTS})
+    rig = rig.with_constants({"motor.gain": rig.motor.gain * COUNTS}).model_copy(update={
+        "amplifier": rig.amplifier.model_copy(update={"limit": rig.amplifier.limit / COUNTS}), "limits": limits})
+    return rig, tuple(replace(run, command=run.command / COUNTS,
+                              reference=run.reference / COUNTS if run.open_loop else run.reference,
+                              metadata=run.metadata.model_copy(update={"command_limit": None})) for run in runs)
+
+
 DATA: dict[str, Callable[[], Given]] = {"made": made, "servo": servo, "arm": arm}
 CHANGES: dict[str, tuple[int, tuple[Callable[..., Given], ...]]] = {
-    "order, zero and end, one thread": (1, (shuffled_and_moved, cut)), "controller and file": (2, (untold, split)),
-    "half rate": (2, (half_rate,))}
+    "order, zero and end, one thread": (1, (shuffled_and_moved, cut)),
+    "controller, unit and file": (2, (untold, in_volts, split)), "half rate": (2, (half_rate,))}
 """By so many threads; what is changed together is held to the criterion of each alone."""
 HELD = [(data, change) for data in DATA for change in CHANGES]
 """What holds to that criterion."""
@@ -226,7 +238,7 @@ def test_the_made_case_is_one_in_which_something_is_said() -> None:
 
 
 def test_a_servos_gears_lose_torque_with_their_load_whether_or_not_its_controller_is_known() -> None:
-    for found in (plain("servo"), changed("servo", "controller and file")):
+    for found in (plain("servo"), changed("servo", "controller, unit and file")):
         cause, *_ = found.causes
         assert cause.effect == "load_friction" and cause.probability > 0.8 and cause.stability > 0.8
 
