@@ -33,11 +33,12 @@ def ranking(search: Selection, found: Odds, unseen: Unseen) -> list[RankedCause]
 def notes(rig: Rig, search: Selection, finding: Finding, unseen: Unseen) -> list[str]:
     """What was done and what is left, a sentence each."""
     data, said, spoken, left = search.predictor.data, finding.said, finding.by_law, finding.left
+    weighing = search.judging or search.weighing
     found = [f"{len(search.fits)} sets of causes fitted to {len(data.runs)} runs",
              f"noise at rest: encoder {data.noise[0]:.2f}"
              + (f", accelerometer {data.noise[1]:.2f}" if data.has_accel else "") + " counts",
-             f"temperature of the likelihood: {search.weighing.temperature:.2f}; independent errors: "
-             f"{search.weighing.independent.sum():.0f} of {search.predictor.counts.sum():.0f}"]
+             f"temperature of the likelihood: {weighing.temperature:.2f}; independent errors: "
+             f"{weighing.independent.sum():.0f} of {search.predictor.counts.sum():.0f}"]
     if said.causes:
         gains = unseen.gains + unseen.relieved / len(unseen.gains)
         found.append(f"log density of runs left out, constants' included, by the causes: {gains.sum():+.1f}, standard "

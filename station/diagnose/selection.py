@@ -65,6 +65,7 @@ class Selection:
     predictor: Predictor
     effort: Effort
     weighing: Weighing
+    """In fits."""
     fits: dict[Causes, Fit] = field(default_factory=dict)
     screened: list[Screened] = field(default_factory=list)
     """Of the first rung."""
@@ -74,8 +75,10 @@ class Selection:
     """Whether what the weighing was read off leaves nothing but noise."""
     weighed_by: Causes = frozenset()
     """The set that it was read off."""
+    judging: Weighing | None = None
+    """What errors count for where sets are compared, if it is not the same (``judge``)."""
     _weighed: WeakKeyDictionary[Fit, tuple[Weighing, float, float]] = field(default_factory=WeakKeyDictionary)
-    """Under the weighing in force: each fit's own, its evidence, and the price of its own."""
+    """As sets are compared: each fit's own weighing, its evidence, and the price of its own."""
 
     def evidence(self, found: Fit) -> float:
         """Log evidence of a set of causes, up to a constant.
@@ -89,7 +92,9 @@ class Selection:
 
     def own_weighing(self, found: Fit) -> Weighing:
         """The weighing with what runs differ by by this set of causes."""
-        return self._own(found)[0]
+        if self.judging is None:
+            return self._own(found)[0]
+        return replace(self.weighing, differ=found.most_likely_differ(self.weighing))
 
     def differs(self, found: Fit) -> bool:
         """Whether a set of causes pays for runs to differ."""
@@ -107,7 +112,8 @@ class Selection:
 
     def _differing(self, found: Fit, may: tuple[bool, bool]) -> tuple[Weighing, float, float]:
         """The same where runs may differ in their share of the command, and in a constant."""
-        own = replace(self.weighing, differ=found.most_likely_differ(self.weighing, may))
+        weighing = self.judging or self.weighing
+        own = replace(weighing, differ=found.most_likely_differ(weighing, may))
         price = found.log_narrowing(own) + (LOG_PRIOR if self.complete else 0.0)
         return own, found.log_evidence(own), float(price @ may)
 
@@ -152,9 +158,26 @@ class Selection:
     def weigh(self, found: Fit) -> None:
         """Take what a fit leaves for what models of this rig leave; where that is noise, output errors alone count."""
         self.complete = remainder(self.predictor, found).is_noise
-        self.weighing = weighing_of(self.predictor, found, self.complete)
+        self.weighing = weighing_of(self.predictor, found, self.counted)
         self.weighed_by = found.key
         self._weighed.clear()
+
+    @property
+    def counted(self) -> np.ndarray | None:
+        """(b) the blocks that count: output errors alone where nothing but noise is left, for an observer feeds the
+        sensors' noise back into what it predicts, by gains that are each hypothesis's own."""
+        return self.predictor.longest if self.complete else None
+
+    def judge(self) -> None:
+        """From here on compare sets by what they predict from what was read just before, where more than noise is left.
+
+        Whole runs go by the commands with which a loop made up for what no hypothesis holds, and that is met best by
+        what holds the rig in its place: where a loop rests, by friction that is not there.  The direct method errs by
+        what its model of the disturbances lacks (Forssell and Ljung, Automatica 35, 1999), and a simulation has none.
+        """
+        if not self.complete:
+            self.judging = weighing_of(self.predictor, self.fits[self.weighed_by], self.predictor.ahead)
+            self._weighed.clear()
 
     @property
     def outdated(self) -> bool:
@@ -192,6 +215,7 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
         parent = _with_derivatives(search, search.best())
     progress("fitting rivals as far as the best", 0.82)
     _finish(search)
+    search.judge()
     return search
 
 
@@ -199,7 +223,7 @@ def _settle(search: Selection, best: Fit) -> Fit:
     """The best set, settled under the weighing that it gives, and its rivals fitted again: where the weighing changed
     theirs are not comparable."""
     rivals = search.close(1 + search.effort.finished)[1:]
-    best = settled(search.predictor, best, search.complete)
+    best = settled(search.predictor, best, search.counted)
     search.weigh(best)
     search.keep(best)
     _refit(search, rivals, False)

@@ -94,11 +94,11 @@ def unknown(predictor: Predictor) -> Weighing:
     return Weighing(PRIOR_SHARE * predictor.counts, 1.0, (share, constant))
 
 
-def settled(predictor: Predictor, found: Fit, longest: bool = False) -> Fit:
+def settled(predictor: Predictor, found: Fit, counted: np.ndarray | None = None) -> Fit:
     """A fit under the weighing that its own errors give (``weighing_of``)."""
     for _ in range(ROUNDS):
         before = found.weighing
-        now = weighing_of(predictor, found, longest)
+        now = weighing_of(predictor, found, counted)
         found = fit(predictor, found.space, now, found.x, found.own)
         if np.all(np.abs(now.independent - before.independent) <= SETTLED_SHARE * before.independent):
             break

@@ -517,14 +517,11 @@ def inherited(parent: Fit, space: Parameters) -> list[np.ndarray]:
     return found
 
 
-def weighing_of(predictor: Predictor, found: Fit, longest: bool = False) -> Weighing:
-    """What the blocks count for where a fit's errors are taken for what a model of this rig leaves.
-
-    ``longest``: those of the longest horizon alone count, the output errors.  A shorter one feeds the sensors' noise
-    back into what it predicts, by gains that are each hypothesis's own.
-    """
+def weighing_of(predictor: Predictor, found: Fit, counted: np.ndarray | None = None) -> Weighing:
+    """What the blocks count for where a fit's errors are taken for what a model of this rig leaves; ``counted`` (b):
+    those that do, all by default."""
     independent = predictor.independent(found.squares, found.residuals)
-    cold = Weighing(independent * predictor.longest if longest else independent, 1.0, found.weighing.differ)
+    cold = Weighing(independent if counted is None else independent * counted, 1.0, found.weighing.differ)
     kinds, whole = temperatures(*_projected(found, cold), found.space.precision)
     warm = Weighing(cold.independent / kinds, whole, cold.differ)
     return replace(warm, differ=found.most_likely_differ(warm))

@@ -172,6 +172,11 @@ class Predictor:
         return np.arange(len(self.channel)) >= len(self.observers) - 1
 
     @cached_property
+    def ahead(self) -> np.ndarray:
+        """(b) whether a block is no whole run of the encoder: those go by the commands alone."""
+        return ~(self.longest & (self.channel == 0))
+
+    @cached_property
     def counts(self) -> np.ndarray:
         """(runs, b) independent errors of the sensors."""
         return np.maximum([self.share(r).sum(axis=1) for r in range(len(self.data.runs))], 1e-9)
