@@ -29,7 +29,7 @@ def predictor(errors: np.ndarray, columns: np.ndarray) -> SimpleNamespace:
     """Of a run with one channel that misses ``errors`` (n), less what the run has of its own (4) times ``columns``
     (4, n)."""
     data = SimpleNamespace(own=np.zeros((1, 4)), free=np.arange(4), rms_command=1.0,
-                           rig=SimpleNamespace(angle_per_count=1.0))
+                           rig=SimpleNamespace(angle_per_count=1.0, amplifier=SimpleNamespace(limit=200.0)))
     return SimpleNamespace(data=data, counts=np.array([[float(errors.size)]]), pool=None,
                            scale=lambda run: np.ones((1, errors.size)), measured=lambda run: errors[None],
                            model=lambda space, x: None, run=lambda model, space, x, run, own: (own @ columns)[None])
