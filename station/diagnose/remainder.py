@@ -8,6 +8,7 @@ import numpy as np
 
 from station.diagnose.thresholds import NOISE
 from station.estimation.least_squares import Fit
+from station.estimation.observer import noise_gain
 from station.estimation.prediction import Predictor
 
 
@@ -24,6 +25,15 @@ class Remainder:
     def is_noise(self) -> bool:
         """Whether nothing stands out."""
         return bool(self.size.max() < NOISE and self.slow.max() < NOISE)
+
+
+def ahead_is_noise(predictor: Predictor, found: Fit) -> bool:
+    """Whether what a fit misses of the encoder a few samples ahead is no more than the sensor's noise, fed back."""
+    (quick, *_), space = predictor.observers, found.space
+    expected = noise_gain(quick, predictor.model(space, found.x))
+    independent = predictor.counts[:, 0]
+    ratio = found.squares[:, 0] / (expected * independent) - 1.0
+    return bool(np.all(ratio < NOISE * np.sqrt(3.0 / independent + 3.0 / predictor.data.noise_rows)))
 
 
 SPAN = 25

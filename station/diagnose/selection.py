@@ -17,7 +17,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from station.diagnose.candidates import Candidate, candidates
-from station.diagnose.remainder import remainder
+from station.diagnose.remainder import ahead_is_noise, remainder
 from station.diagnose.screening import Screened, screen
 from station.diagnose.starts import Start, attempted, far_starts, rigid_starts
 from station.diagnose.thresholds import CLOSE, LOG_PRIOR, LOG_PRIOR_PARAMETER, WORTH_A_FIT
@@ -169,14 +169,16 @@ class Selection:
         return self.predictor.longest if self.complete else None
 
     def judge(self) -> None:
-        """From here on compare sets by what they predict from what was read just before, where more than noise is left.
+        """From here on compare sets by what they predict from what was read just before, where that shows more than
+        noise.
 
         Whole runs go by the commands with which a loop made up for what no hypothesis holds, and that is met best by
         what holds the rig in its place: where a loop rests, by friction that is not there.  The direct method errs by
         what its model of the disturbances lacks (Forssell and Ljung, Automatica 35, 1999), and a simulation has none.
         """
-        if not self.complete:
-            self.judging = weighing_of(self.predictor, self.fits[self.weighed_by], self.predictor.ahead)
+        best = self.fits[self.weighed_by]
+        if not self.complete and not ahead_is_noise(self.predictor, best):
+            self.judging = weighing_of(self.predictor, best, self.predictor.ahead)
             self._weighed.clear()
 
     @property

@@ -164,6 +164,19 @@ def _design(observer: Observer, linear: _Linear) -> tuple[Correction, tuple[floa
     return found, (float(log_size), float(slope)) if np.isfinite(gain).all() else None
 
 
+def noise_gain(observer: Observer, model: Model) -> float:
+    """Mean square of the errors of predictions into which white noise of the encoder, of variance one, is fed back."""
+    slowest = np.sort(np.argsort(_speeds(model.form), kind="stable")[: observer.blocks])
+    found, system = correction(observer, model), _filter(model, observer.horizon, slowest)
+    gain = np.append(found.state[model.form.columns(slowest)], found.torque)
+    error, total, left = 1.0, 0.0, np.zeros(len(gain))
+    for _ in range(math.ceil(LASTS * observer.horizon / _period(model))):
+        total += error * error
+        left = system.f @ (left + gain * error)
+        error = -float(system.h @ left)
+    return total
+
+
 def _speeds(form: ModalForm) -> np.ndarray:
     """(b) how fast a mode decays or swings, rad/s; of two that decay the slower."""
     return np.abs(form.eigenvalues).min(axis=1)

@@ -39,7 +39,8 @@ class Quality:
 
 def quality(run: Run, limit: float) -> Quality:
     """The figures of a run under a command limit (counts)."""
-    largest = math.floor(limit) if limit > 1.0 and np.array_equal(run.command, np.round(run.command)) else limit
+    whole = limit > 1.0 and np.array_equal(run.command, np.round(run.command))
+    largest = float(np.floor(limit)) if whole else limit
     saturated = float(np.mean(np.abs(run.command) >= largest * (1.0 - ROUNDING)))
     if run.open_loop:
         return Quality(None, None, None, None, saturated)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from station.estimation.observer import UNMODELLED, Observer, correction, observers
+from station.estimation.observer import UNMODELLED, Observer, correction, noise_gain, observers
 from station.model.effects import effect_class
 from station.model.simulate import build, initial_state
 from station.model.stepper import advance, begin, sense
@@ -93,6 +93,24 @@ def test_the_commands_unit_does_not_change_an_observer(shape: str, counts: float
     one, two = (observers(r, 0.0)[0] for r in (rig, other))
     assert two.horizon == pytest.approx(one.horizon, rel=1e-6)
     assert two.log_size == pytest.approx(one.log_size - math.log(unit), abs=1e-4)
+
+
+@pytest.mark.parametrize("shape", RIGS)
+def test_what_noise_makes_of_predictions_is_known(shape: str) -> None:
+    """A rig at rest that is read with noise; the stepper, row by row."""
+    rig, drawn = bare(shape), np.random.default_rng(0).standard_normal(20_000)
+    quick = observers(rig, 2.0)[0]
+    model = build(rig, 0.1, 1e-3)
+    state, (gain, at_motor, decay, _) = initial_state(model, 0.0, 0.0), correction(quick, model)
+    work, torque, missed = np.zeros((4, max(model.plan.port_joint.size, 1))), 0.0, []
+    begin(model.plan, state)
+    for noise in drawn.tolist():
+        missed.append(noise - sense(model.plan, state, 0.0, False)[0])
+        state.z[:] += gain * missed[-1]
+        torque = decay * (torque + at_motor * missed[-1])
+        advance(model.plan, state, 0.0, torque, work)
+    expected = noise_gain(quick, model)
+    assert expected > 1.0 and float(np.mean(np.square(missed))) == pytest.approx(expected, rel=0.03)
 
 
 OTHER = [("two-mass", {"motor.inertia": 0.1}), ("servo", {"motor.damping": 20.0}), ("axis", {"motor.gain": 30.0}),
