@@ -35,7 +35,7 @@ def notes(rig: Rig, search: Selection, finding: Finding, unseen: Unseen) -> list
     data, said, spoken, left = search.predictor.data, finding.said, finding.by_law, finding.left
     weighing = search.judging or search.weighing
     found = [f"{len(search.fits)} sets of causes fitted to {len(data.runs)} runs",
-             f"noise at rest: encoder {data.noise[0]:.2f}"
+             f"noise: encoder {data.noise[0]:.2f}"
              + (f", accelerometer {data.noise[1]:.2f}" if data.has_accel else "") + " counts",
              f"temperature of the likelihood: {weighing.temperature:.2f}; independent errors: "
              f"{weighing.independent.sum():.0f} of {search.predictor.counts.sum():.0f}"]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from station.diagnose.thresholds import NOISE
+from station.estimation.dataset import Dataset
 from station.estimation.least_squares import Fit
 from station.estimation.observer import noise_gain
 from station.estimation.prediction import Predictor
@@ -27,17 +28,13 @@ class Remainder:
         return bool(self.size.max() < NOISE and self.slow.max() < NOISE)
 
 
-def ahead_is_noise(predictor: Predictor, found: Fit) -> bool:
-    """Whether what a fit misses of the encoder a few samples ahead is no more than the sensor's noise, fed back."""
-    (quick, *_), space = predictor.observers, found.space
-    expected = noise_gain(quick, predictor.model(space, found.x))
-    independent = predictor.counts[:, 0]
-    ratio = found.squares[:, 0] / (expected * independent) - 1.0
-    return bool(np.all(ratio < NOISE * np.sqrt(3.0 / independent + 3.0 / predictor.data.noise_rows)))
-
-
 SPAN = 25
 """Samples."""
+
+
+def _size(data: Dataset, squares: np.ndarray, independent: np.ndarray) -> np.ndarray:
+    """z-scores of sums of squares, in units of the noise, of so many independent errors each."""
+    return (squares / independent - 1.0) / np.sqrt(3.0 / independent + 3.0 / data.noise_rows)
 
 
 def remainder(predictor: Predictor, found: Fit) -> Remainder:
@@ -54,8 +51,7 @@ def remainder(predictor: Predictor, found: Fit) -> Remainder:
     for every, share in zip(found.residuals, data.share, strict=True):
         e = every[blocks]
         independent = np.maximum(share.sum(axis=1), 1e-9)
-        spread = np.sqrt(3.0 / independent + 3.0 / data.noise_rows)
-        size.append((np.sum(e * e, axis=1) / independent - 1.0) / spread)
+        size.append(_size(data, np.sum(e * e, axis=1), independent))
         rows = e.shape[1] // SPAN * SPAN
         sums = e[:, :rows].reshape(len(e), -1, SPAN).sum(axis=2) ** 2
         shares = share[:, :rows].reshape(len(e), -1, SPAN)
@@ -63,3 +59,9 @@ def remainder(predictor: Predictor, found: Fit) -> Remainder:
         ratio = sums.sum(axis=1) - expected.sum(axis=1)
         slow.append(ratio / np.sqrt(np.maximum(3.0 * np.sum(expected**2, axis=1), 1e-9)))
     return Remainder(np.array(size), np.array(slow))
+
+
+def ahead_is_noise(predictor: Predictor, found: Fit) -> bool:
+    """Whether what a fit misses of the encoder a few samples ahead is no more than the sensor's noise, fed back."""
+    expected = noise_gain(predictor.observers[0], predictor.model(found.space, found.x))
+    return bool(np.all(_size(predictor.data, found.squares[:, 0] / expected, predictor.counts[:, 0]) < NOISE))

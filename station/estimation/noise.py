@@ -1,4 +1,4 @@
-"""How exactly a run's channels can be read: noise from stretches at rest, never from a fit's residual."""
+"""How exactly a run's channels can be read: noise from rests, or about a smooth motion, never from a fit's residual."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ needs three samples to forget, and after half a second a prediction reads what a
 ROUNDS = 40
 """Halvings of the logarithm of the torque's size, for the nominal rig."""
 SIZES = math.log(1e-8), math.log(1e4)
-"""Logarithms of the amplifier's limits between which it is looked for, from below."""
+"""Logarithms of shares of the amplifier's limit between which it is looked for, from below."""
 STEPS = 6
 """Most steps of the secant method from there to another rig's."""
 NEAR = 1e-5
@@ -153,7 +153,7 @@ def _design(observer: Observer, linear: _Linear) -> tuple[Correction, tuple[floa
     state = np.zeros(2 * form.blocks)
     if math.isinf(horizon):
         return Correction(state, 0.0, 0.0, np.zeros(0)), None
-    slowest = np.sort(np.argsort(_speeds(form), kind="stable")[: observer.blocks])
+    slowest = _corrected(observer, form)
     system, kept = _filter(model, horizon, slowest), form.columns(slowest)
     try:
         gain, log_size, slope = _designed(system, observer.variance, horizon, observer.log_size, observer.slope)
@@ -166,8 +166,8 @@ def _design(observer: Observer, linear: _Linear) -> tuple[Correction, tuple[floa
 
 def noise_gain(observer: Observer, model: Model) -> float:
     """Mean square of the errors of predictions into which white noise of the encoder, of variance one, is fed back."""
-    slowest = np.sort(np.argsort(_speeds(model.form), kind="stable")[: observer.blocks])
-    found, system = correction(observer, model), _filter(model, observer.horizon, slowest)
+    slowest = _corrected(observer, model.form)
+    found, system = _design(observer, _Linear(id(model.form), model))[0], _filter(model, observer.horizon, slowest)
     gain = np.append(found.state[model.form.columns(slowest)], found.torque)
     error, total, left = 1.0, 0.0, np.zeros(len(gain))
     for _ in range(math.ceil(LASTS * observer.horizon / _period(model))):
@@ -175,6 +175,11 @@ def noise_gain(observer: Observer, model: Model) -> float:
         left = system.f @ (left + gain * error)
         error = -float(system.h @ left)
     return total
+
+
+def _corrected(observer: Observer, form: ModalForm) -> np.ndarray:
+    """The modes that an observer corrects, in the order of the form."""
+    return np.sort(np.argsort(_speeds(form), kind="stable")[: observer.blocks])
 
 
 def _speeds(form: ModalForm) -> np.ndarray:

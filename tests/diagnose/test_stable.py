@@ -30,8 +30,8 @@ CLOSE = 0.05
 """Largest change of a probability."""
 CUT = 0.02
 """Share of each run's end."""
-COUNTS = 80.0
-"""Of the command per volt."""
+COUNTS = 200_000.0
+"""Of the command per unit: an amplifier's limit is then some thousandths."""
 SEED = 11
 Given = tuple[Rig, tuple[Run, ...]]
 
@@ -94,7 +94,7 @@ def untold(rig: Rig, runs: tuple[Run, ...]) -> Given:
                       for run in runs)
 
 
-def in_volts(rig: Rig, runs: tuple[Run, ...]) -> Given:
+def in_large_units(rig: Rig, runs: tuple[Run, ...]) -> Given:
     """The same motor, its commands in another unit (of loops whose controller is not told)."""
     limits = rig.limits and rig.limits.model_copy(update={"command": rig.command_limit / COUNTS})
     rig = rig.with_constants({"motor.gain": rig.motor.gain * COUNTS}).model_copy(update={
@@ -107,7 +107,7 @@ def in_volts(rig: Rig, runs: tuple[Run, ...]) -> Given:
 DATA: dict[str, Callable[[], Given]] = {"made": made, "servo": servo, "arm": arm}
 CHANGES: dict[str, tuple[int, tuple[Callable[..., Given], ...]]] = {
     "order, zero and end, one thread": (1, (shuffled_and_moved, cut)),
-    "controller, unit and file": (2, (untold, in_volts, split)), "half rate": (2, (half_rate,))}
+    "controller, unit and file": (2, (untold, in_large_units, split)), "half rate": (2, (half_rate,))}
 """By so many threads; what is changed together is held to the criterion of each alone."""
 HELD = [(data, change) for data in DATA for change in CHANGES]
 """What holds to that criterion."""
