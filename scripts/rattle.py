@@ -21,8 +21,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from station.diagnose.validation import whole_run
+from station.estimation.cause import Sizes
 from station.estimation.dataset import Dataset, dataset
-from station.estimation.parameters import Hypothesis, Parameters, Sizes, parameters
+from station.estimation.parameters import Hypothesis, Parameters, parameters
 from station.model.effects import effect_class
 from station.model.simulate import build
 from station.rig import PROFILE, load_rig

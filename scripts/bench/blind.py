@@ -44,10 +44,11 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from station.campaign.order import by_share, in_turn  # noqa: E402
-from station.campaign.outcome import Key, Outcome, Task  # noqa: E402
+from station.campaign.outcome import Outcome, Task  # noqa: E402
 from station.campaign.program import sources_hash  # noqa: E402
 from station.campaign.run import Results, run_campaign, so_far  # noqa: E402
 from station.campaign.summary import calibration, coverage, largest, median, share, summary, title  # noqa: E402
+from station.estimation.cause import Key  # noqa: E402
 from tests.diagnose.blind import RIGS, Cause, blind_task, judge, table  # noqa: E402
 from tests.truth import RigDict, effect_names, outside_names, uncertain_keys  # noqa: E402
 from tests.truth.sizes import BANDS, largest_parameter  # noqa: E402

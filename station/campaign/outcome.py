@@ -9,12 +9,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from station.estimation.cause import Key
+
 if TYPE_CHECKING:
     from station.rig import Rig
     from station.runs.run import Run
-
-Key = tuple[str, str]
-"""(effect, at) of a cause."""
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from station.campaign import logs, simulated
 from station.campaign.hidden import places
 from station.campaign.order import by_share, in_turn
-from station.campaign.outcome import Key, Outcome, Task
+from station.campaign.outcome import Outcome, Task
 from station.campaign.summary import title
 from station.errors import UsageError, WorkError
+from station.estimation.cause import Key, constant
 from station.rig import Rig, builtin_rigs, load_rig
 from station.runs.store import file_hash
 
@@ -223,8 +224,8 @@ def _logged(path: Path, key: str, entry: Logs, effort: Effort) -> Task:
 
 def _known(path: Path, key: str, rig: Rig, cause: Known) -> dict[str, Any]:
     """The cause as outcomes hold it, after a look whether the rig can have it."""
-    constants = {f"parameter:{name}" for name in rig.constants()}
-    there = sorted({*places(rig), ("clock_scale", "clock"), *((name, "") for name in constants)})
+    constants = [constant(name) for name in rig.constants()]
+    there = sorted({*places(rig), ("clock_scale", "clock"), *constants})
     if (cause.effect, cause.at) not in there:
         fitting = [title(k) for k in there if k[0] == cause.effect]
         hint = f"; this rig can have {', '.join(fitting)}" if fitting else ""

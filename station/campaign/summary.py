@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
-from station.campaign.outcome import Key, Outcome
+from station.campaign.outcome import Outcome
 from station.campaign.run import Results
+from station.estimation.cause import Key
 
 SCHEMA = "station-campaign/1"
 BINS = np.linspace(0.0, 1.0, 11)

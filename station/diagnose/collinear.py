@@ -15,8 +15,8 @@ import numpy as np
 
 from station.diagnose.selection import Selection
 from station.diagnose.thresholds import TOLERANCE
+from station.estimation.cause import Causes, Key
 from station.estimation.least_squares import Fit
-from station.estimation.parameters import Causes, Key
 
 
 def collinear(search: Selection, best: Causes, cause: Key) -> frozenset[Key]:

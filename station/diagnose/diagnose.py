@@ -24,10 +24,10 @@ from station.diagnose.validation import gain, seconds_ahead
 from station.diagnose.verdict import verdict
 from station.diagnose.wrong import wrong
 from station.errors import UsageError, WorkError
+from station.estimation.cause import Key
 from station.estimation.dataset import canonical_order, dataset
 from station.estimation.least_squares import CANNOT_SIMULATE, DIVERGED
 from station.estimation.observer import observers
-from station.estimation.parameters import Key
 from station.estimation.pool import SIZE, Pool
 from station.estimation.prediction import SEARCH, Predictor, predict_run
 from station.model.simulate import build

@@ -37,8 +37,9 @@ from station.diagnose.candidates import candidates
 from station.diagnose.odds import Odds, normalised
 from station.diagnose.result import NextExperiment, Rival, Verdict
 from station.diagnose.thresholds import BELIEVABLE, LISTED, LOG_PRIOR, LOG_PRIOR_PARAMETER, SURE
+from station.estimation.cause import Key, Sizes, constant, constant_path, is_constant
 from station.estimation.dataset import Dataset
-from station.estimation.parameters import WIDE, Key, Sizes
+from station.estimation.parameters import WIDE
 from station.model.effects import Stage, effect_class
 from station.model.units import UNITS, UnknownUnitError, dimension, powers
 from station.rig import Rig
@@ -48,7 +49,7 @@ LONGEST_LIST = 5
 INPUT, ENCODER = ("input_delay", "amplifier"), ("encoder_delay", "encoder")
 ACCEL, CLOCK = ("accelerometer_delay", "accelerometer"), ("clock_scale", "clock")
 TILT, RIPPLE = ("gravity_tilt", "base"), ("torque_ripple", "motor")
-GAIN = ("parameter:motor.gain", "")
+GAIN = constant("motor.gain")
 
 
 @dataclass(frozen=True)
@@ -119,12 +120,8 @@ def _with(rig: Rig, without: Collection[Key], values: Sizes) -> Rig:
     return rig.with_effects([*kept, *(effect_class(name)(at=at, **v) for (name, at), v in values.items())])
 
 
-def _constant(path: str) -> Key:
-    return f"parameter:{path}", ""
-
-
 def _paths(causes: frozenset[Key]) -> list[str]:
-    return sorted(name.split(":", 1)[1] for name, _ in causes if name.startswith("parameter:"))
+    return sorted(constant_path(name) for name, _ in causes if is_constant(name))
 
 
 def moves_by_itself(rig: Rig, setting: Setting) -> bool:
@@ -167,7 +164,7 @@ class _Constants:
 
     def bearers(self, direction: np.ndarray) -> set[Key]:
         """The constants that a unit enters, as causes."""
-        return {_constant(p) for p, power in zip(self.paths, direction, strict=True) if power}
+        return {constant(p) for p, power in zip(self.paths, direction, strict=True) if power}
 
     def covariance(self, causes: frozenset[Key]) -> np.ndarray:
         """Of the logarithms, with a set of causes set free; a clock that is off spreads them along time."""
@@ -192,7 +189,7 @@ class _Constants:
 
     def believable(self, added: Collection[Key]) -> Iterator[tuple[frozenset[Key], float]]:
         """Sets, and their log odds, in which one of ``added`` takes the place of one or more wrong constants."""
-        named = [_constant(path) for path in _paths(self.causes)]
+        named = [constant(path) for path in _paths(self.causes)]
         rivals = sorted(self.setting.allowed & set(added) - self.causes)
         for gone in (gone for count in range(1, len(named) + 1) for gone in combinations(named, count)):
             rest = self.causes - frozenset(gone)
@@ -256,8 +253,8 @@ def _one_shaft(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]
     nominal, values = setting.rig.constants(), rig.constants()
     for one, two in (("motor.inertia", "base.inertia"), ("base.inertia", "motor.inertia")):
         moved = values[two] + values[one] - nominal[one]
-        if _constant(one) in causes and _constant(two) not in causes and moved > 0.0:
-            found.append(Side((causes - {_constant(one)}) | {_constant(two)},
+        if constant(one) in causes and constant(two) not in causes and moved > 0.0:
+            found.append(Side((causes - {constant(one)}) | {constant(two)},
                               rig.with_constants({one: nominal[one], two: moved}), 0.0))
     return found
 

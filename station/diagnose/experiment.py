@@ -33,11 +33,12 @@ from station.diagnose.result import NextExperiment, Prediction, Verdict
 from station.diagnose.selection import Selection
 from station.diagnose.thresholds import DECIDES, SETTLED, UNLIKELY, VISIBLE
 from station.diagnose.trials import OVERSHOOT, Trial, most, trials
+from station.estimation.cause import Key
 from station.estimation.dataset import tests_of
 from station.estimation.least_squares import Fit
 from station.estimation.likelihood import NUISANCES
 from station.estimation.noise import ACCEL_DEFAULT, QUANTISATION, correlation_time, rounding_shares
-from station.estimation.parameters import Key, prior_covariance
+from station.estimation.parameters import prior_covariance
 from station.estimation.pool import SIZE, Pool
 from station.estimation.prediction import SEARCH
 from station.model.effects import Effect, Stage, catalogue

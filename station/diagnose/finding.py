@@ -15,9 +15,9 @@ from station.diagnose.result import BetweenRuns, OwnOfRun
 from station.diagnose.selection import Selection, fitted
 from station.diagnose.thresholds import LOG_PRIOR, OUTSIDE, STABLE, VARIES
 from station.diagnose.verdict import Stated, stated
+from station.estimation.cause import Causes, Key
 from station.estimation.constants import refined
 from station.estimation.least_squares import Fit
-from station.estimation.parameters import Causes, Key
 from station.estimation.spread import differences
 
 

@@ -20,11 +20,11 @@ from scipy.special import stdtrit
 from station.diagnose.result import Estimate
 from station.diagnose.selection import Selection
 from station.diagnose.thresholds import BEYOND, CLOSE, MENTION, OUTSIDE, VARIES
+from station.estimation.cause import Causes, Key, constant, constant_path, is_constant
 from station.estimation.dataset import SEVERAL
 from station.estimation.identifiability import NORMAL, parameter_states
 from station.estimation.least_squares import Fit
 from station.estimation.noise import QUANTISATION
-from station.estimation.parameters import Causes, Key
 from station.estimation.spread import Spread, between_runs
 from station.model.effects import effect_class
 from station.model.units import UNITS
@@ -229,9 +229,9 @@ def deviation(logs: np.ndarray, sigma: float, covariance: np.ndarray, i: int) ->
 
 def is_beyond(search: Selection, found: Fit, key: Key) -> bool:
     """Whether a cause may be accused: any effect, and a constant beyond BEYOND of its own sigma."""
-    if not key[0].startswith("parameter:"):
+    if not is_constant(key[0]):
         return True
-    rig, path, paths = search.predictor.data.rig, key[0].split(":", 1)[1], found.space.paths
+    rig, path, paths = search.predictor.data.rig, constant_path(key[0]), found.space.paths
     return deviation(found.logs, rig.sigma(path), rig.log_covariance(list(paths)), paths.index(path)) > BEYOND
 
 
@@ -285,7 +285,7 @@ def estimates(found: Fit, rougher: Fit, left_out: Sequence[Fit],
             value=float(coordinate.to_value(found.x[k])), low=low, high=high, unit=coordinate.info.unit,
             state=found_states[k], spread=None if coordinate.info.periodic else _told(seen, per_step))
     for path in space.hypothesis.constants:
-        causes[(f"parameter:{path}", "")] = {"value": constants[path]}
+        causes[constant(path)] = {"value": constants[path]}
     return causes, constants
 
 

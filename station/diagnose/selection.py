@@ -21,10 +21,11 @@ from station.diagnose.remainder import ahead_is_noise, remainder
 from station.diagnose.screening import Screened, screen
 from station.diagnose.starts import Start, attempted, far_starts, rigid_starts
 from station.diagnose.thresholds import CLOSE, LOG_PRIOR, LOG_PRIOR_PARAMETER, WORTH_A_FIT
+from station.estimation.cause import Causes, Key, Sizes
 from station.estimation.constants import base_fit, in_step, settled
 from station.estimation.least_squares import FAR, Fit, fit, inherited, weighing_of
 from station.estimation.likelihood import Weighing
-from station.estimation.parameters import Causes, Hypothesis, Key, Parameters, Sizes, parameters
+from station.estimation.parameters import Hypothesis, Parameters, parameters
 from station.estimation.prediction import COARSE, FINE, SEARCH, Accuracy, Predictor
 from station.model.effects import Stage, effect_class
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from station.control.named import NAMED, SAMPLED_AT
 from station.control.references import defaults, reference_from_test
+from station.estimation.cause import is_constant
 from station.model.effects import effect_class
 from station.rig import Rig
 from station.runs.run import Run, RunMetadata
@@ -121,7 +122,7 @@ def trials(rig: Rig, causes: Sequence[tuple[str, str]] = ()) -> list[Trial]:
              if controller is not BOTH or suits]
     found += [Trial(test, OPEN).sized(rig.amplifier.limit, rig.command_limit) for test in DRIVEN]
     for name, _ in causes:
-        told = {} if name.startswith("parameter:") else dict(effect_class(name).experiment)
+        told = {} if is_constant(name) else dict(effect_class(name).experiment)
         controller = NAMED.get(told.pop("controller", "open" if told.get("kind") in ("pulse", "pulse_train") else "p"))
         if told and controller is not None and (controller is not BOTH or suits):
             trial = Trial({"amplitude": defaults(told["kind"])["amplitude"], **told}, _scaled(controller, strength))

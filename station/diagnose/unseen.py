@@ -17,8 +17,8 @@ from station.diagnose.validation import (
     relief,
     simulate_unseen,
 )
+from station.estimation.cause import Causes
 from station.estimation.least_squares import Fit
-from station.estimation.parameters import Causes
 from station.model.simulate import Simulation
 
 Ahead = list[dict[str, float]]
@@ -41,11 +41,8 @@ class Unseen:
     """As the rig file says, with its constants re-fitted, and with the causes that hold."""
     ahead: tuple[Ahead, Ahead]
     """nrmse of predictions by the rig file, and with these."""
-
-    @property
-    def against(self) -> bool:
-        """Whether runs left out speak against the causes."""
-        return contradicted(self.gains, self.relieved)
+    against: bool
+    """Whether runs left out speak against the causes."""
 
 
 def unseen(search: Selection, finding: Finding) -> Unseen:
@@ -61,7 +58,8 @@ def unseen(search: Selection, finding: Finding) -> Unseen:
     gains = densities[causes] - densities[frozenset()]
     relieved = (relief(alone, said) + search.clock_score(finding.fit.space.hypothesis)
                 - search.clock_score(nothing.space.hypothesis))
-    holding = alone if not finding.left.is_noise and contradicted(gains, relieved) else said
+    against = contradicted(gains, relieved)
+    holding = alone if against and not finding.left.is_noise else said
     after = refit if holding is alone else simulate_unseen(predictor, holding)
     return Unseen(holding, densities, gains, relieved, (simulate_unseen(predictor, unfitted), refit, after),
-                  (predicted_ahead(predictor, unfitted), predicted_ahead(predictor, holding)))
+                  (predicted_ahead(predictor, unfitted), predicted_ahead(predictor, holding)), against)

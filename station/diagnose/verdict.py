@@ -10,7 +10,7 @@ from station.diagnose.odds import Odds
 from station.diagnose.result import Verdict
 from station.diagnose.screening import Screened
 from station.diagnose.thresholds import SEEN, STABLE, SURE, VISIBLE
-from station.estimation.parameters import Causes, Key
+from station.estimation.cause import Causes, Key
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from itertools import accumulate
 
 import numpy as np
 
+from station.estimation.cause import Causes, Key, Sizes, constant
 from station.estimation.dataset import Dataset
 from station.model.effects import Effect, ParameterInfo, Stage
 from station.rig import Rig
@@ -27,12 +28,6 @@ PLACE, PHASE = 2.0, 3.2
 
 EXACT = 1e-6
 """Sigma of the logarithm of a constant that a rig file calls exact."""
-
-Key = tuple[str, str]
-"""A cause: (effect, at), or ("parameter:TABLE.KEY", "")."""
-Causes = frozenset[Key]
-Sizes = dict[Key, dict[str, float]]
-"""By cause, the parameters' values."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +70,7 @@ class Hypothesis:
     @property
     def causes(self) -> list[Key]:
         """(effect, at) of every cause, as the diagnosis file names them."""
-        return [(cls.name, at) for cls, at in self.effects] + [(f"parameter:{c}", "") for c in self.constants]
+        return [(cls.name, at) for cls, at in self.effects] + [constant(c) for c in self.constants]
 
     @property
     def key(self) -> Causes:
@@ -88,7 +83,7 @@ class Hypothesis:
     def without(self, cause: Key) -> Hypothesis:
         """The same with one cause less."""
         return Hypothesis(tuple((cls, at) for cls, at in self.effects if (cls.name, at) != cause),
-                          tuple(c for c in self.constants if (f"parameter:{c}", "") != cause))
+                          tuple(c for c in self.constants if constant(c) != cause))
 
 
 @dataclass(frozen=True)

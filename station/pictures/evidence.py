@@ -17,6 +17,7 @@ import numpy as np
 from scipy import signal
 from scipy.ndimage import median_filter
 
+from station.estimation.cause import constant_path, is_constant
 from station.estimation.pool import Pool
 from station.model.along import joint_torque, law_values
 from station.model.effects import Effect, Stage, catalogue
@@ -102,8 +103,8 @@ def _sceptics_view(found: MissingTorque, run: Run) -> list[Evidence]:
 
 def _pictures(rig: Rig, extended: Rig, runs: list[Run], name: str, at: str) -> list[Evidence]:
     """Of one cause: chosen by the effect's own ``picture`` and by the stage at which it acts."""
-    if name.startswith("parameter:"):
-        path = name.removeprefix("parameter:")
+    if is_constant(name):
+        path = constant_path(name)
         if path not in rig.constants() or path not in extended.constants():
             return []
         without = extended.with_constants({path: rig.constants()[path]})

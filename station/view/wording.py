@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from station.control.named import named_controller
 from station.control.references import KINDS, defaults
+from station.estimation.cause import constant_path, is_constant
 from station.model.effects import catalogue
 
 if TYPE_CHECKING:
@@ -33,7 +34,6 @@ STATES = {"determined": "determined by these runs", "at_bound": "at a bound",
           "traded_off": "known only together with another",
           "not_excited": "not told by these runs; known only as it was beforehand"}
 
-_PREFIX = "parameter:"
 _LATENCY = {"input_delay", "encoder_delay"}
 """Delays of which a loop shows the sum."""
 _INSIDE = {"drive", "clamp", "accelerometer", "encoder", "clock", "amplifier"}
@@ -101,16 +101,6 @@ def interval(estimate: Estimate) -> str:
 def unit_of(estimate: Estimate) -> str:
     """The unit as it is written behind a number: none for a pure number."""
     return "" if estimate.unit == "1" else estimate.unit
-
-
-def is_constant(effect: str) -> bool:
-    """Whether the cause is a rig constant that is off."""
-    return effect.startswith(_PREFIX)
-
-
-def constant_path(effect: str) -> str:
-    """``parameter:tip.mass`` -> ``tip.mass``."""
-    return effect.removeprefix(_PREFIX)
 
 
 def constant_title(path: str) -> str:

@@ -9,7 +9,7 @@ import pytest
 
 from station.diagnose.collinear import collinear
 from station.diagnose.thresholds import TOLERANCE
-from station.estimation.parameters import Causes, Key
+from station.estimation.cause import Causes, Key
 
 LAG, DELAY, BIAS = ("accelerometer_lag", "accelerometer"), ("accelerometer_delay", "accelerometer"), ("bias", "motor")
 WEIGHTS, SCALES = np.array([[2.0], [0.5]]), (np.array([[0.3, 0.3, 0.3]]), np.array([[0.1, 0.2]]))

@@ -12,9 +12,10 @@ from station.diagnose import screening
 from station.diagnose.candidates import Candidate, candidates
 from station.diagnose.screening import Screened, screen
 from station.diagnose.selection import begun
+from station.estimation.cause import Key
 from station.estimation.constants import base_fit, unknown
 from station.estimation.least_squares import Fit, fit, weighing_of
-from station.estimation.parameters import Hypothesis, Key, parameters
+from station.estimation.parameters import Hypothesis, parameters
 from station.estimation.prediction import Predictor
 from station.rig import Rig
 from tests.estimation.made import predictions
