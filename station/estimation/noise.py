@@ -88,7 +88,7 @@ def noise_sigmas(runs: list[Run]) -> tuple[float, float, int]:
 
 
 def scatter(runs: list[Run]) -> float:
-    """Variance of encoders' readings about a smooth motion, counts^2; 0 where rounding could make it.
+    """Variance of encoders' readings about a smooth motion, counts^2; 0 where rounding could make it, and of few rows.
 
     Mean square of their m-th differences over that of white noise of variance one, C(2m, m), in the median of all
     blocks: blows are no noise (Hall, Kay and Titterington, Biometrika 77, 1990).  Rounding errors of half a count make
@@ -96,7 +96,7 @@ def scatter(runs: list[Run]) -> float:
     """
     whole = math.comb(2 * ORDER, ORDER)
     found = []
-    for run in runs:
+    for run in (run for run in runs if len(run) > ORDER):
         known = np.convolve(run.logged, np.ones(ORDER + 1), "valid") > ORDER
         squares = np.diff(run.encoder, ORDER)[known] ** 2 / whole
         found += [float(np.mean(block)) for block in np.split(squares, range(BLOCK, squares.size, BLOCK)) if block.size]

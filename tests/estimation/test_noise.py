@@ -69,6 +69,15 @@ def test_a_sensor_whose_noise_never_lets_it_rest_shows_it_as_it_moves(sigma):
     assert noise_sigmas(jolted)[0] == pytest.approx(sigma, rel=0.05)
 
 
+@pytest.mark.parametrize("few", [2, 5, 8])
+def test_a_run_of_too_few_rows_says_nothing_of_noise(few):
+    """The differences that would show it take nine rows; a longer run beside it counts alone."""
+    run = made(100, seed=1, encoder_sigma=8.0, rows=2000)
+    short = Run("short", run.t[:few], run.reference[:few], run.command[:few], run.encoder[:few], None, RunMetadata())
+    assert scatter([short]) == 0.0
+    assert scatter([run, short]) == pytest.approx(64.0, rel=0.1)
+
+
 @pytest.mark.parametrize("speed", [0.05, 0.5, 0.51, 3.7])
 def test_rounding_is_no_noise_however_fast_an_encoder_moves(speed):
     rows = np.arange(2000)
