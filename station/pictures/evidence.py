@@ -185,10 +185,10 @@ def _grid(x: np.ndarray) -> np.ndarray:
 
 
 def _torque(cause: _Cause, effect: Effect) -> list[Evidence]:
-    """Missing torque at a part against its speed or angle."""
+    """Missing torque at a part against its speed, of which alone friction is a law, or its angle."""
     found = _joined(_estimates(cause, effect.at))
-    by_speed = effect.picture == "speed"
-    x = found.speed if by_speed else found.angle
+    by_speed = effect.stage is Stage.FRICTION or effect.picture == "speed"
+    x, against = (found.speed, "speed") if by_speed else (found.angle, "angle")
     grid, law = _grid(x), None
     if not effect.states:
         if effect.stage is Stage.FRICTION:
@@ -197,7 +197,7 @@ def _torque(cause: _Cause, effect: Effect) -> list[Evidence]:
             law = grid, law_values(cause.extended, effect, *((0.0, grid) if by_speed else (grid, 0.0)))
     label = f"{effect.at} speed (rad/s)" if by_speed else f"{effect.at} angle (rad)"
     rest = " At rest anything between its two sides may hold." if effect.stage is Stage.FRICTION else ""
-    return [_thin(f"Torque missing at the {effect.at}, against its {effect.picture}: {cause.title}", effect.picture,
+    return [_thin(f"Torque missing at the {effect.at}, against its {against}: {cause.title}", against,
                   label, "missing torque (N m)", x, found.torque, law, _torque_note(cause, found) + rest)]
 
 

@@ -235,3 +235,15 @@ def test_an_effect_of_a_users_own_is_drawn_by_its_stage_and_picture():
         Smooth.name = ""  # leaves the catalogue
     assert picture.kind == "speed" and fit(picture) > 0.5
     assert plain.kind == "time" and fit(plain) > 0.5, "the law along the motion"
+
+
+def test_friction_is_drawn_against_speed_whatever_picture_its_effect_names(monkeypatch):
+    """The level of friction is a law of speed; against the angle a line through the points would be another law's."""
+    cls = effect_class("coulomb_friction")
+    runs = made([{"effect": "coulomb_friction", "at": "motor", "torque": 0.08}])
+    extended = RIG.with_effects([cls(at="motor", torque=0.08)])
+    usual, _ = evidence(RIG, extended, runs, [("coulomb_friction", "motor")])
+    monkeypatch.setattr(cls, "picture", "angle")
+    picture, _ = evidence(RIG, extended, runs, [("coulomb_friction", "motor")])
+    assert (picture.kind, picture.title, picture.xlabel) == (usual.kind, usual.title, usual.xlabel)
+    np.testing.assert_array_equal(picture.x, usual.x)
