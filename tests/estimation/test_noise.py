@@ -3,15 +3,7 @@
 import numpy as np
 import pytest
 
-from station.estimation.noise import (
-    ACCEL_DEFAULT,
-    QUANTISATION,
-    RESTING,
-    noise_sigmas,
-    rest_rows,
-    rounding_shares,
-    scatter,
-)
+from station.estimation.noise import ACCEL_DEFAULT, RESTING, noise_sigmas, rest_rows, rounding_shares, scatter
 from station.runs.run import Run, RunMetadata
 
 
@@ -75,17 +67,6 @@ def test_a_sensor_whose_noise_never_lets_it_rest_shows_it_as_it_moves(sigma):
     assert all(rest_rows(run) < 10 for run in runs)
     assert noise_sigmas(runs)[0] == pytest.approx(sigma, rel=0.05)
     assert noise_sigmas(jolted)[0] == pytest.approx(sigma, rel=0.05)
-
-
-@pytest.mark.parametrize("speed", [0.003, 0.01, 0.03, 0.1, 0.3])
-@pytest.mark.parametrize("motion", ["ramp", "swing"])
-def test_rounding_is_as_large_by_the_rows_that_count_as_by_all(speed, motion):
-    """Where an encoder leaves a count its error is half a count; slow motion would look like more than rounding."""
-    rows = np.arange(20_000)
-    angle = speed * rows if motion == "ramp" else 2000.0 * speed * np.sin(rows / 2000.0)
-    read = np.round(angle + 0.3)
-    shares, squares = rounding_shares(read), (angle + 0.3 - read) ** 2
-    assert np.sum(shares * squares) / np.sum(shares) == pytest.approx(QUANTISATION, rel=0.12)
 
 
 @pytest.mark.parametrize("few", [2, 5, 8])
