@@ -35,16 +35,11 @@ def rounding_shares(encoder: np.ndarray) -> np.ndarray:
 
     While nothing moves the rounding error stands still, too, so that many samples say no more than one.  Readings that
     toggle between two counts, for the angle stands where one becomes the other, do not move: what counts is what is
-    left beyond a play of one count (Visintin, Differential Models of Hysteresis, 1994, chapter III).  As long as it
-    stands in one place all rows count alike, for where it leaves it the error is half a count: by these rows alone
-    rounding would seem larger than it is.
+    left beyond a play of one count (Visintin, Differential Models of Hysteresis, 1994, chapter III).
     """
-    places = _beyond_play(encoder)
-    padded = np.pad(places, SPAN, mode="edge")
+    padded = np.pad(_beyond_play(encoder), SPAN, mode="edge")
     speed = np.abs(padded[2 * SPAN:] - padded[: -2 * SPAN]) / (2 * SPAN)
-    stay = np.cumsum(np.diff(places, prepend=places[0]) != 0.0)
-    shares = np.bincount(stay, np.clip(SMOOTH * speed, RESTING, 1.0)) / np.bincount(stay)
-    return shares[stay]
+    return np.clip(SMOOTH * speed, RESTING, 1.0)
 
 
 def _beyond_play(encoder: np.ndarray) -> np.ndarray:
