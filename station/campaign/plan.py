@@ -224,8 +224,7 @@ def _logged(path: Path, key: str, entry: Logs, effort: Effort) -> Task:
 
 def _known(path: Path, key: str, rig: Rig, cause: Known) -> dict[str, Any]:
     """The cause as outcomes hold it, after a look whether the rig can have it."""
-    constants = [constant(name) for name in rig.constants()]
-    there = sorted({*places(rig), ("clock_scale", "clock"), *constants})
+    there = sorted({*places(rig), ("clock_scale", "clock"), *map(constant, rig.constants())})
     if (cause.effect, cause.at) not in there:
         fitting = [title(k) for k in there if k[0] == cause.effect]
         hint = f"; this rig can have {', '.join(fitting)}" if fitting else ""
