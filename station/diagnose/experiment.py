@@ -183,7 +183,7 @@ class Planner:
 
     def scales(self, model: Model, run: Run, mean: np.ndarray) -> np.ndarray:
         """Weight of every sample (channels, n): see ``dataset`` for shares; rounding is fed back."""
-        rounded = rounding_shares(mean[0])
+        rounded = rounding_shares(np.round(mean[0]))
         share = np.stack([rounded, np.ones_like(rounded)])[: len(self.sigma)]
         variance = self.sigma**2
         if run.metadata.controller["kind"] != "open":

@@ -30,6 +30,8 @@ from station.estimation.prediction import COARSE, FINE, SEARCH, Accuracy, Predic
 from station.model.effects import Stage, effect_class
 
 QUICK_STEPS = 8
+RUNGS = 3
+"""Causes in a set from which on nothing is added to it; a pair on top of the set before may hold one more."""
 THOROUGH: dict[str, Any] = {"iterations": 25, "renewals": 4, "tolerance": 0.2}
 
 
@@ -45,18 +47,14 @@ class Effort:
     """Pairs of causes that are fitted on each rung."""
     exchanged: int
     """Causes that are fitted in the place of each one that a set has, beside its others."""
-    rungs: int
-    """Causes in a set from which on nothing is added to it; a pair on top of the set before may hold one more."""
     content: bool
     """Whether to a set that leaves nothing but noise only what can pay for its prior odds is added."""
     accuracies: tuple[Accuracy, Accuracy]
     """Of simulations in the search, and of those from which values are stated."""
 
 
-EFFORTS = {"quick": Effort(tried=6, finished=2, pairs=1, exchanged=1, rungs=2, content=True,
-                           accuracies=(COARSE, SEARCH)),
-           "full": Effort(tried=12, finished=4, pairs=3, exchanged=3, rungs=3, content=False,
-                          accuracies=(SEARCH, FINE))}
+EFFORTS = {"quick": Effort(tried=6, finished=2, pairs=1, exchanged=1, content=True, accuracies=(COARSE, SEARCH)),
+           "full": Effort(tried=12, finished=4, pairs=3, exchanged=3, content=False, accuracies=(SEARCH, FINE))}
 
 
 @dataclass
@@ -250,13 +248,13 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], far: list[Star
     puts them and ``far`` from nominal, and those that could stand in the place of one that it has: what was added first
     need not be the best beside what came later."""
     predictor, weighing, effort, rung = search.predictor, search.weighing, search.effort, len(parent.key)
-    begin, end = (min(0.1 + 0.7 * done / (effort.rungs + 1), 0.8) for done in (rung, rung + 1))
+    begin, end = (min(0.1 + 0.7 * done / (RUNGS + 1), 0.8) for done in (rung, rung + 1))
 
     def told(text: str, share: float) -> None:
         progress(text, begin + (end - begin) * share)
 
     screened, pairs, exchanges = screen(predictor, parent, pool)
-    grows = rung < effort.rungs
+    grows = rung < RUNGS
     content = (effort.content and rung > 0 and remainder(predictor, parent).is_noise
                and not search.differs(parent))  # else what makes that needless pays for itself
     worth = -2.0 * LOG_PRIOR if content else WORTH_A_FIT

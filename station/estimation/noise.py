@@ -16,14 +16,10 @@ ACCEL_DEFAULT = 1.0
 SMOOTH = 5.0
 """Samples within which what a model misses stays alike: an encoder that crosses a count in fewer reads it between the
 counts, for its rounding error runs through all its values meanwhile."""
-RESTING = 0.004
-"""Share of a sample while nothing crosses a count: one or two independent errors per rest."""
 ASKED = 0.01
 """Share of a run's largest command that asks nothing yet: that of a loop that holds what rests, toggling by a count."""
 RESTS = 100
 """Most rows at rest that say where a run begins."""
-SPAN = 10
-"""Rows either side over which the encoder's speed is taken."""
 ORDER = 8
 """Of the differences in which nothing of a motion is left that is smooth over as many rows."""
 BLOCK = 50
@@ -31,15 +27,18 @@ BLOCK = 50
 
 
 def rounding_shares(encoder: np.ndarray) -> np.ndarray:
-    """Independent rounding errors per sample (n) of an encoder's readings (n), counts; 1 while it moves.
+    """Independent rounding errors per sample (n) of an encoder's readings (n), counts; 1 while it moves fast.
 
-    While nothing moves the rounding error stands still, too, so that many samples say no more than one.  Readings that
-    toggle between two counts, for the angle stands where one becomes the other, do not move: what counts is what is
-    left beyond a play of one count (Visintin, Differential Models of Hysteresis, 1994, chapter III).
+    As long as it stands at one count the rounding error runs through its values once at most: of all these samples no
+    more than SMOOTH are independent, and they count alike, for where it leaves a count the error is half of one.
+    Before a log's first change and after its last it rests, and the error with it: one each.  Readings that toggle
+    between two counts, for the angle stands where one becomes the other, do not move: what counts is what is left
+    beyond a play of one count (Visintin, Differential Models of Hysteresis, 1994, chapter III).
     """
-    padded = np.pad(_beyond_play(encoder), SPAN, mode="edge")
-    speed = np.abs(padded[2 * SPAN:] - padded[: -2 * SPAN]) / (2 * SPAN)
-    return np.clip(SMOOTH * speed, RESTING, 1.0)
+    stay = np.cumsum(np.diff(_beyond_play(encoder), prepend=np.nan) != 0.0) - 1
+    independent = np.full(stay[-1] + 1, SMOOTH)
+    independent[[0, -1]] = 1.0
+    return np.minimum(independent / np.bincount(stay), 1.0)[stay]
 
 
 def _beyond_play(encoder: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ FRICTION = ("coulomb_friction", "motor")
 @pytest.fixture(scope="module")
 def known() -> Iterator[tuple[Linearised, Change]]:
     """A rig that has friction, fitted without it, and what as much of it changes as seems best."""
-    runs = make_case(8171, [FRICTION], nominal=RIGID_AXIS, count=4, band=(400.0, 1e5)).runs
+    runs = make_case(8176, [FRICTION], nominal=RIGID_AXIS, count=4, band=(400.0, 1e5)).runs
     predictor = predictions(Rig.model_validate(RIGID_AXIS), runs)
     data = predictor.data
     base = base_fit(predictor)

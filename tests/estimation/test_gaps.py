@@ -33,8 +33,10 @@ def test_lost_rows_do_not_count_and_the_others_count_as_in_the_whole_run():
     data, whole = dataset(rig, [with_gaps()]), dataset(rig, [step_run()])
     assert np.array_equal(np.flatnonzero(~data.logged[0]), LOST)
     assert np.all(data.share[0][:, LOST] == 0.0)
-    far = np.ones(len(whole.logged[0]), dtype=bool)
-    far[[row for lost in LOST for row in range(lost - 12, lost + 13)]] = False
+    # When a count was left is not known where rows are lost: that stay, and the ones beside it, may last longer.
+    stay = np.cumsum(np.diff(whole.measured[0][0], prepend=0.0) != 0.0)
+    far = np.abs(stay[:, None] - stay[LOST]).min(axis=1) > 1
+    assert 0.4 < np.mean(far) < 1.0
     np.testing.assert_array_equal(data.share[0][:, far], whole.share[0][:, far])
 
 

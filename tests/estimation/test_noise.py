@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from station.estimation.noise import ACCEL_DEFAULT, RESTING, noise_sigmas, rest_rows, rounding_shares, scatter
+from station.estimation.noise import (
+    ACCEL_DEFAULT,
+    QUANTISATION,
+    SMOOTH,
+    noise_sigmas,
+    rest_rows,
+    rounding_shares,
+    scatter,
+)
 from station.runs.run import Run, RunMetadata
 
 
@@ -69,6 +77,17 @@ def test_a_sensor_whose_noise_never_lets_it_rest_shows_it_as_it_moves(sigma):
     assert noise_sigmas(jolted)[0] == pytest.approx(sigma, rel=0.05)
 
 
+@pytest.mark.parametrize("speed", [0.003, 0.01, 0.03, 0.1, 0.3])
+@pytest.mark.parametrize("motion", ["ramp", "swing"])
+def test_rounding_is_as_large_by_the_rows_that_count_as_by_all(speed, motion):
+    """Where an encoder leaves a count its error is half a count; slow motion would look like more than rounding."""
+    rows = np.arange(20_000)
+    angle = speed * rows if motion == "ramp" else 2000.0 * speed * np.sin(rows / 2000.0)
+    read = np.round(angle + 0.3)
+    shares, squares = rounding_shares(read), (angle + 0.3 - read) ** 2
+    assert np.sum(shares * squares) / np.sum(shares) == pytest.approx(QUANTISATION, rel=0.12)
+
+
 @pytest.mark.parametrize("few", [2, 5, 8])
 def test_a_run_of_too_few_rows_says_nothing_of_noise(few):
     """The differences that would show it take nine rows; a longer run beside it counts alone."""
@@ -103,19 +122,20 @@ def test_a_rig_without_accelerometer_rests_on_its_encoder():
     assert (encoder, accel, rows) == (0.0, pytest.approx(ACCEL_DEFAULT), 99)
 
 
-def test_a_reading_at_rest_counts_for_one_or_two_and_a_moving_one_for_all():
-    rest, ramp = np.full(500, 3.0), np.floor(0.4 * np.arange(500))
-    assert rounding_shares(rest).sum() == pytest.approx(500 * RESTING) and 1.0 <= 500 * RESTING <= 2.0
-    assert np.all(rounding_shares(ramp)[20:-20] == 1.0)
-    slow = rounding_shares(np.floor(0.05 * np.arange(2000)))[50:-50]
-    assert 0.1 < slow.mean() < 0.5
+@pytest.mark.parametrize("rate", [1, 2, 10])
+def test_a_stay_at_one_count_says_as_much_at_any_rate_a_rest_one_and_of_a_fast_motion_every_sample(rate):
+    rest = np.full(500 * rate, 3.0)
+    slow = np.repeat(np.arange(100.0), 20 * rate)
+    assert rounding_shares(rest).sum() == pytest.approx(1.0)
+    assert rounding_shares(slow).sum() == pytest.approx(98.0 * SMOOTH + 2.0)
+    assert np.all(rounding_shares(np.floor(0.4 * np.arange(500)))[3:-3] == 1.0)
 
 
 def test_a_reading_that_toggles_between_two_counts_rests():
     """The angle stands where one count becomes the next, and a sensor's noise, or a motor that hums, chooses."""
     rng = np.random.default_rng(3)
     toggling = np.round(2.5 + 0.1 * rng.standard_normal(500))
-    assert np.count_nonzero(np.diff(toggling)) > 100 and rounding_shares(toggling).sum() < 4.0
+    assert np.count_nonzero(np.diff(toggling)) > 100 and rounding_shares(toggling).sum() == pytest.approx(2.0)
     # A slow turn that toggles at every count moves: as fast as the same without noise.
     turn = 0.05 * np.arange(2000)
     noisy = rounding_shares(np.round(turn + 0.1 * rng.standard_normal(2000)))
