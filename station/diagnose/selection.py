@@ -428,12 +428,16 @@ def fitted(search: Selection, causes: Causes, whole: Causes) -> Fit:
 
 
 def _finish(search: Selection) -> None:
-    """Fit the best set and its close rivals to the end under the best's weighing: none loses by where it ended."""
+    """Fit the best set and its close rivals to the end under the best's weighing: none loses by where it ended.
+
+    The best is looked back upon once more: it may have ended in another valley, in which no set with less was begun.
+    """
     for last in (False, True):
         best = search.best()
         close = search.close(2 * search.effort.finished)
         subsets = [f for f in search.fits.values() if f.key < best.key and f not in close]
         _refit(search, [*close, *subsets], True)
+        _look_back(search, search.best())
         if last or not search.outdated:
             break
         search.weigh(search.best())
