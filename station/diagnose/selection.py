@@ -76,6 +76,8 @@ class Selection:
     """The set that it was read off."""
     judging: Weighing | None = None
     """What errors count for where sets are compared, if it is not the same (``judge``)."""
+    looked_back: Fit | None = None
+    """The fit that was last looked back upon."""
     _weighed: WeakKeyDictionary[Fit, tuple[Weighing, float, float]] = field(default_factory=WeakKeyDictionary)
     """As sets are compared: each fit's own weighing, its evidence, and the price of its own."""
 
@@ -147,6 +149,10 @@ class Selection:
         ranked = sorted(self.fits.values(), key=lambda f: -self.score(f))
         return [f for f in ranked if self.score(f) > self.score(ranked[0]) - CLOSE][:most]
 
+    def is_news(self, found: Fit, since: Fit) -> bool:
+        """Whether a fit holds more causes than an earlier one, or is better by what these runs can tell."""
+        return len(found.key) > len(since.key) or 2.0 * (self.score(found) - self.score(since)) >= WORTH_A_FIT
+
     def keep(self, found: Fit, begun_at: Fit | None = None) -> None:
         """Remember a fit; of the same causes the better one, but never ``begun_at``, from where this one was fitted on:
         what a step was expected to gain there has been tried since."""
@@ -208,8 +214,8 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
             pool = [c for c in pool if c.effect is None or c.effect.stage is not Stage.CLOCK]
         _climb(search, parent, [c for c in pool if c.key not in parent.key], [] if rung else far, progress)
         best = search.best()
-        if len(best.key) <= rung and 2.0 * (search.score(best) - search.score(search.fits[parent.key])) < WORTH_A_FIT:
-            break  # the same set, or one that these runs do not tell from it
+        if not search.is_news(best, search.fits[parent.key]):
+            break
         _look_back(search, _settle(search, best))
         if search.outdated:
             _settle(search, search.best())
@@ -387,6 +393,7 @@ def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
 def _look_back(search: Selection, found: Fit) -> None:
     """Fit every set with one cause less, or with a simpler law in the place of one that holds it, from where the whole
     set ended: each cause must hold against its absence, and each law against those that are special cases of it."""
+    search.looked_back = found.light
     hypothesis, sizes = found.space.hypothesis, found.space.values(found.x)
     less: list[tuple[Hypothesis, Sizes]] = [(hypothesis.without(cause), {}) for cause in hypothesis.causes]
     for cls, at in hypothesis.effects:
@@ -430,14 +437,16 @@ def fitted(search: Selection, causes: Causes, whole: Causes) -> Fit:
 def _finish(search: Selection) -> None:
     """Fit the best set and its close rivals to the end under the best's weighing: none loses by where it ended.
 
-    The best is looked back upon once more: it may have ended in another valley, in which no set with less was begun.
+    A best that ended in another valley is looked back upon once more: no set with less was begun there.
     """
     for last in (False, True):
         best = search.best()
         close = search.close(2 * search.effort.finished)
         subsets = [f for f in search.fits.values() if f.key < best.key and f not in close]
         _refit(search, [*close, *subsets], True)
-        _look_back(search, search.best())
+        best = search.best()
+        if search.looked_back is None or search.is_news(best, search.looked_back):
+            _look_back(search, best)
         if last or not search.outdated:
             break
         search.weigh(search.best())
