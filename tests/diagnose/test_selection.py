@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from station.diagnose.selection import EFFORTS, Selection, _look_back, leading
+from station.diagnose.selection import EFFORTS, Selection, _finish, _look_back, leading
 from station.diagnose.thresholds import LOG_PRIOR, LOG_PRIOR_PARAMETER
 from station.estimation.least_squares import fit
 from station.estimation.likelihood import Weighing
@@ -146,3 +146,29 @@ def test_a_law_must_hold_against_one_that_it_holds_fitted_from_where_it_ended() 
     _look_back(search, search.best())
     assert search.best().key == {coulomb}
     assert search.best().space.values(search.best().x)[coulomb]["torque"] == pytest.approx(torque, rel=0.02)
+
+
+def test_a_best_set_that_ended_elsewhere_is_looked_back_upon_before_it_is_told() -> None:
+    """A cause alone that was never begun where the whole set ended; and one that was, is not begun again."""
+    torque = 0.03 * AXIS.motor.gain * AXIS.amplifier.limit
+    predictor = predictions(AXIS, runs_of(AXIS.with_effects([FRICTION[0](at="motor", torque=torque)])))
+    coulomb, delay = ("coulomb_friction", "motor"), ("input_delay", "amplifier")
+
+    def ended(*effects: tuple, sizes: dict) -> None:
+        space = parameters(predictor.data, Hypothesis(effects), sizes)
+        search.keep(fit(predictor, space, search.weighing, space.mean.copy()))
+
+    for seen in (False, True):
+        search = Selection(predictor, EFFORTS["quick"], Weighing(predictor.counts, 1.0), complete=True)
+        ended(sizes={})
+        ended(FRICTION, (effect_class("input_delay"), "amplifier"),
+              sizes={coulomb: {"torque": torque}, delay: {"time": 0.1 * AXIS.period}})
+        search.weigh(search.best())
+        assert search.best().key == {coulomb, delay}
+        if seen:
+            _look_back(search, search.best())
+            del search.fits[frozenset({coulomb})]
+        _finish(search)
+        assert (frozenset({coulomb}) in search.fits) != seen
+        if not seen:
+            assert search.best().key == {coulomb}
