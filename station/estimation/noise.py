@@ -15,7 +15,8 @@ ACCEL_DEFAULT = 1.0
 
 SMOOTH = 5.0
 """Samples within which what a model misses stays alike: an encoder that crosses a count in fewer reads it between the
-counts, for its rounding error runs through all its values meanwhile."""
+counts, for its rounding error runs through all its values meanwhile; of a longer stay as many errors are independent.
+"""
 ASKED = 0.01
 """Share of a run's largest command that asks nothing yet: that of a loop that holds what rests, toggling by a count."""
 RESTS = 100
