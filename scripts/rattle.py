@@ -73,8 +73,8 @@ def start(space: Parameters, factors: dict[str, float]) -> np.ndarray:
 def errors(data: Dataset, space: Parameters, x: np.ndarray) -> np.ndarray:
     """(2, n) of the one run, each channel over its standard deviation."""
     made = whole_run(data, build(space.rig_at(x), 0.01, 5e-4), 0, data.own[0], rounding=False, place=space.place(x, 0))
-    away = data.measured[0] - np.stack([made.encoder, made.accel])
-    return np.nan_to_num(away / data.measured[0].std(axis=1, keepdims=True), nan=1e3, posinf=1e3, neginf=-1e3)
+    away = data.records[0].measured - np.stack([made.encoder, made.accel])
+    return np.nan_to_num(away / data.records[0].measured.std(axis=1, keepdims=True), nan=1e3, posinf=1e3, neginf=-1e3)
 
 
 def fitted(data: Dataset, effects: list[tuple[type, str]], sizes: Sizes, factors: dict[str, float],

@@ -66,10 +66,11 @@ def compare(rig: Rig, runs: Sequence[Run], progress: Callable[[float], None] = l
 
 
 def _nearest(data: Dataset, model: Model, r: int) -> Simulation:
+    record = data.records[r]
     tried = [make(data, model, r, data.own[r]) for make in (whole_run, settled_run)]
 
     def error(made: Simulation) -> float:
-        away = data.measured[r] - np.stack([getattr(made, c) for c in CHANNELS[: data.channels]])
+        away = record.measured - np.stack([getattr(made, c) for c in CHANNELS[: data.channels]])
         away = np.nan_to_num(away, nan=FAR, posinf=FAR, neginf=-FAR)
-        return float(np.sum(data.share[r] * (away / data.sigma[:, None]) ** 2))
+        return float(np.sum(record.share * (away / data.sigma[:, None]) ** 2))
     return min(tried, key=error)

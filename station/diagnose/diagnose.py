@@ -89,7 +89,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     refit_rig = nothing.space.rig_at(nothing.x)
     extended = best.space.rig_at(best.x) if causes else refit_rig
     comparisons = [RunComparison(run, before, refit, after if causes else None, seconds_ahead(data, k), part,
-                                 shown.space.zero(shown.x, data.zero_group[k]))
+                                 shown.space.zero(shown.x, data.records[k].zero_group))
                    for k, (run, before, refit, after, part) in enumerate(
                        zip(runs, *judged.simulations, parts, strict=True))]
     report("choosing the next experiment", 0.96)
@@ -104,7 +104,8 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
         between_runs=between_runs(search, finding), rig=rig.name, effort=effort,
         runs=[RunFile(run=run.name) for run in given],
         ranking=[Ranked(effect=r.effect, at=r.at, probability=r.probability, note=r.note) for r in ranked])
-    drawn = [row.zeroed(rig.angle_per_count) for row, warm in zip(comparisons, data.warm, strict=True) if not warm]
+    drawn = [row.zeroed(rig.angle_per_count)
+             for row, record in zip(comparisons, data.records, strict=True) if not record.warm]
     drawn = [replace(run, name=given[0].name) for run in drawn[:1]] if len(given) == 1 else drawn
     draw = partial(_drawn, refit_rig, extended, drawn, [(c.effect, c.at) for c in causes], pool)
     report("done", 1.0)

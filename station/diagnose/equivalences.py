@@ -303,8 +303,7 @@ TABLE = (
 
 def standing(data: Dataset, causes: frozenset[Key], rig: Rig) -> list[Standing]:
     """The equivalences of which the named causes are one side; ``rig`` has the causes in it, as fitted."""
-    released = tuple(float(angle) for angle, run, warm in zip(data.start, data.runs, data.warm, strict=True)
-                     if run.metadata.start != "equilibrium" and not warm)
+    released = tuple(record.start for record in data.records if record.released)
     return standing_in(Setting(data.rig, data.clock is not None, released), causes, rig)
 
 

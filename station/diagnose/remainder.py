@@ -48,7 +48,7 @@ def remainder(predictor: Predictor, found: Fit) -> Remainder:
     data = predictor.data
     size, slow = [], []
     blocks = [len(predictor.observers) - 1, len(predictor.channel) - 1][: data.channels]
-    for every, share in zip(found.residuals, data.share, strict=True):
+    for every, share in zip(found.residuals, (record.share for record in data.records), strict=True):
         e = every[blocks]
         independent = np.maximum(share.sum(axis=1), 1e-9)
         size.append(_size(data, np.sum(e * e, axis=1), independent))

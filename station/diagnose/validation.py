@@ -31,7 +31,7 @@ def seconds_ahead(data: Dataset, run: int) -> float | None:
     """How far ahead a run is predicted where its loop cannot be closed again: its controller is unknown, or its log
     begins in motion.  None: it is simulated as a whole."""
     this = data.runs[run]
-    lost = this.metadata.controller.get("kind") == "unknown" or data.warm[run] > 0
+    lost = this.metadata.controller.get("kind") == "unknown" or data.records[run].warm > 0
     return UNKNOWN_AHEAD if lost and not this.open_loop else None
 
 
@@ -43,7 +43,7 @@ def whole_run(data: Dataset, model: Model, run: int, own: np.ndarray, *, roundin
     is simulated from its command.
     """
     this, ahead, (start, offset, share, constant) = data.runs[run], seconds_ahead(data, run), (float(v) for v in own)
-    if ahead is None and not data.warm[run]:
+    if ahead is None and not data.records[run].warm:
         return simulate_model(model, this, rounding=rounding, start_angle=angle_that_reads(model.rig, start, zero),
                               accel_offset=offset, zero=zero, gap_place=place, more=(share, constant))
     watched = observers(data.rig, data.noise[0], (ahead or math.inf,))
@@ -59,7 +59,7 @@ def settled_run(data: Dataset, model: Model, run: int, own: np.ndarray, differ: 
     have read it; ``differ`` as ``Weighing`` has it."""
     moves = np.isin(data.free, np.flatnonzero([True, True, *(size > 0.0 for size in differ)]))
     free, prior = data.free[moves], nuisance_precision(data, differ)[run][moves]
-    scale = np.sqrt(data.share[run]) / data.sigma[:, None]
+    scale = np.sqrt(data.records[run].share) / data.sigma[:, None]
     steps, first, own = own_steps(data), data.own[run], own.copy()
 
     def outputs(own: np.ndarray) -> np.ndarray:
@@ -72,7 +72,7 @@ def settled_run(data: Dataset, model: Model, run: int, own: np.ndarray, differ: 
             break
         columns = np.stack([((outputs(own + steps * (np.arange(4) == k)) - here) * scale).ravel() / steps[k]
                             for k in free])
-        error = ((data.measured[run] - here) * scale).ravel()
+        error = ((data.records[run].measured - here) * scale).ravel()
         with np.errstate(over="ignore", invalid="ignore"):
             step = np.linalg.solve(columns @ columns.T + np.diag(prior), columns @ error - prior * (own - first)[free])
         if not np.all(np.isfinite(step)):
@@ -101,7 +101,7 @@ def leave_each_out(predictor: Predictor, weighing: Weighing, found: Fit) -> list
         with suppress(*DIVERGED):
             left = fit(predictor, found.space, weighing, found.x, found.own, runs=weights,
                        jacobian=found.jacobian, iterations=6, renewals=2).light
-            return replace(left, x=found.space.with_own_of(left.x, found.x, r, predictor.data.zero_group))
+            return replace(left, x=found.space.with_own_of(left.x, found.x, r, predictor.data.zero_groups))
         return found.light
 
     return list(predictor.pool.map(without, range(len(predictor.data.runs))))
@@ -114,7 +114,7 @@ def simulate_unseen(predictor: Predictor, left_out: Sequence[Fit]) -> list[Simul
     def one(r: int) -> Simulation:
         left = left_out[r]
         return settled_run(data, build(left.space.rig_at(left.x)), r, left.own[r], left.weighing.differ,
-                           left.space.zero(left.x, data.zero_group[r]), left.space.place(left.x, r))
+                           left.space.zero(left.x, data.records[r].zero_group), left.space.place(left.x, r))
     return list(predictor.pool.map(one, range(len(data.runs))))
 
 
@@ -124,10 +124,10 @@ def predicted_ahead(predictor: Predictor, left_out: Sequence[Fit]) -> list[dict[
     watched = observers(data.rig, data.noise[0], AHEAD)
 
     def one(r: int) -> dict[str, float]:
-        left, run, rows = left_out[r], data.runs[r], data.windows[r]
+        left, record = left_out[r], data.records[r]
         made, _ = predict_run(data, build(left.space.rig_at(left.x)), watched, r, left.own[r],
-                              zero=left.space.zero(left.x, data.zero_group[r]), place=left.space.place(left.x, r))
-        return {f"{seconds:g} s": nrmse(run.encoder[rows], angle[rows])
+                              zero=left.space.zero(left.x, record.zero_group), place=left.space.place(left.x, r))
+        return {f"{seconds:g} s": nrmse(record.run.encoder[record.window], angle[record.window])
                 for seconds, angle in zip(AHEAD, made[:, 0], strict=True)}
     return list(predictor.pool.map(one, range(len(data.runs))))
 
@@ -228,7 +228,8 @@ def gain(data: Dataset, comparisons: Sequence[RunComparison], after: Sequence[Si
                                    for time in old if np.isfinite([old[time], new[time]]).all()}))
     for channel, sigma in zip(CHANNELS[: data.channels], data.noise, strict=False):
         spread = error_before = error_after = explained = explainable = 0.0
-        for one, c, rows, made in zip(runs, comparisons, data.windows, after, strict=True):
+        for one, c, record, made in zip(runs, comparisons, data.records, after, strict=True):
+            rows = record.window
             measured = getattr(c.run, channel)[rows]
             size = float(np.sum((measured - measured.mean()) ** 2))
             if size == 0.0:

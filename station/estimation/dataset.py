@@ -56,39 +56,72 @@ class Logs(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
+class Record:
+    """One run as an estimator sees it: n rows, c channels (encoder, accelerometer)."""
+
+    run: Run
+    logged: np.ndarray
+    """(n) whether a row was logged; lost ones are simulated through and neither count nor correct."""
+    window: np.ndarray
+    """(n) whether a row counts."""
+    measured: np.ndarray
+    """(c, n), counts."""
+    share: np.ndarray
+    """(c, n) independent errors per sample."""
+    start: float
+    """Starting angle as read, rad."""
+    offset: float
+    """The accelerometer's as read at rest, counts."""
+    warm: int
+    """Rows in which an observer finds the state of a rig that is in motion when the log begins."""
+    zero_group: int
+    """Number of the encoder's zero: runs of one share it."""
+    segment: np.ndarray
+    """(n) the number of each row's stretch, counted over all runs."""
+
+    @property
+    def released(self) -> bool:
+        """Whether it begins at rest, held where it was read."""
+        return self.run.metadata.start != "equilibrium" and not self.warm
+
+
+@dataclass(frozen=True, eq=False)
 class Dataset:
-    """A nominal rig and its runs; c channels (encoder, accelerometer)."""
+    """A nominal rig and the records of its runs; c channels (encoder, accelerometer)."""
 
     rig: Rig
-    runs: tuple[Run, ...]
-    windows: tuple[np.ndarray, ...]
-    """The rows of each run that count."""
-    logged: tuple[np.ndarray, ...]
-    """Per run (n): whether a row was logged; lost ones are simulated through and neither count nor correct."""
-    measured: tuple[np.ndarray, ...]
-    """Per run (c, n), counts."""
-    share: tuple[np.ndarray, ...]
-    """Per run (c, n): independent errors per sample."""
+    records: tuple[Record, ...]
     noise: tuple[float, float]
     """Standard deviation before rounding of encoder and accelerometer, counts."""
     noise_rows: int
-    start: np.ndarray
-    """(runs) starting angle as read, rad."""
-    offset: np.ndarray
-    """(runs) the accelerometer's offset as read at rest, counts."""
-    warm: tuple[int, ...]
-    """Per run: rows in which an observer finds the state of a rig that is in motion when the log begins."""
-    zero_group: tuple[int, ...]
     clock: tuple[float, float] | None
-    segment: tuple[np.ndarray, ...]
-    """Per run (n): the number of each row's stretch, counted over all runs."""
     segment_run: np.ndarray
     """(stretches) the run of each."""
+
+    @cached_property
+    def runs(self) -> tuple[Run, ...]:
+        """Their gaps filled."""
+        return tuple(record.run for record in self.records)
+
+    @cached_property
+    def zero_groups(self) -> tuple[int, ...]:
+        """(runs) numbers of the encoder's zeros."""
+        return tuple(record.zero_group for record in self.records)
+
+    @cached_property
+    def start(self) -> np.ndarray:
+        """(runs) starting angle as read, rad."""
+        return np.array([record.start for record in self.records])
+
+    @cached_property
+    def offset(self) -> np.ndarray:
+        """(runs) the accelerometer's offset as read at rest, counts."""
+        return np.array([record.offset for record in self.records])
 
     @property
     def channels(self) -> int:
         """1 without an accelerometer, else 2."""
-        return self.share[0].shape[0]
+        return self.records[0].share.shape[0]
 
     @property
     def has_accel(self) -> bool:
@@ -98,8 +131,7 @@ class Dataset:
     @cached_property
     def offset_error(self) -> np.ndarray:
         """(runs) standard error of the offset as read, counts: of a loop that acts from the start on, one reading's."""
-        rows = [max(int(seen[: len(run) if warm else rest_rows(run)].sum()), 1)
-                for run, seen, warm in zip(self.runs, self.logged, self.warm, strict=True)]
+        rows = [max(int(r.logged[: len(r.run) if r.warm else rest_rows(r.run)].sum()), 1) for r in self.records]
         return self.sigma[-1] / np.sqrt(rows) if self.has_accel else np.zeros(len(rows))
 
     @cached_property
@@ -125,20 +157,12 @@ class Dataset:
     @cached_property
     def logs(self) -> Logs:
         """All runs' rows."""
-        return self._joined(range(len(self.runs)))
+        return _joined(self.records)
 
     @cached_property
     def log(self) -> tuple[Logs, ...]:
         """Every run's rows by themselves."""
-        return tuple(self._joined([r]) for r in range(len(self.runs)))
-
-    def _joined(self, some: Sequence[int]) -> Logs:
-        """Some runs' rows, one after another."""
-        first = np.concatenate([[0], np.cumsum([len(self.runs[r]) for r in some])]).astype(np.int64)
-        return Logs(first, np.concatenate([self.measured[r][0] for r in some]),
-                    np.concatenate([self.runs[r].command for r in some]).astype(float),
-                    np.concatenate([self.logged[r] for r in some]),
-                    np.array([self.warm[r] for r in some], dtype=np.int64))
+        return tuple(_joined([record]) for record in self.records)
 
     @cached_property
     def finder(self) -> Observer:
@@ -158,7 +182,16 @@ class Dataset:
     @property
     def counts(self) -> np.ndarray:
         """(runs, c) independent errors of the sensors."""
-        return np.array([share.sum(axis=1) for share in self.share])
+        return np.array([record.share.sum(axis=1) for record in self.records])
+
+
+def _joined(records: Sequence[Record]) -> Logs:
+    """Rows of records, one after another."""
+    first = np.concatenate([[0], np.cumsum([len(one.run) for one in records])]).astype(np.int64)
+    return Logs(first, np.concatenate([one.measured[0] for one in records]),
+                np.concatenate([one.run.command for one in records]).astype(float),
+                np.concatenate([one.logged for one in records]),
+                np.array([one.warm for one in records], dtype=np.int64))
 
 
 def canonical_order(runs: Sequence[Run]) -> list[int]:
@@ -191,44 +224,49 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
             raise WorkError(f"{run.name}: no accelerometer column, but other runs have one; leave out one or the other")
         if abs(run.sample_rate / rig.sample_rate - 1.0) > RATES:
             raise WorkError(f"{run.name}: sampled at {run.sample_rate:.6g} Hz, the rig at {rig.sample_rate:.6g} Hz")
-    logged = tuple(run.logged for run in runs)
     encoder, accel, rows = noise_sigmas(tests)
     meshed = rig.meshed()
     if rig.beam is not None:    # it need not be quite uniform
         meshed = meshed.model_copy(update={"uncertainty": {**dict.fromkeys(sorted(PROFILE), RIGIDITY),
                                                            **rig.uncertainty}})
-    warm = tuple(_warm_rows(meshed, run, (encoder, accel) if has_accel else (encoder,)) for run in runs)
-    kept = tuple(np.zeros_like(seen) for seen in logged)
-    for row, seen, first, window in zip(kept, logged, warm, windows or [slice(None)] * len(runs), strict=True):
-        row[window] = seen[window]
-        row[:first] = False
     groups = list(dict.fromkeys(zero_ids := [r.metadata.zero_id or f"own {i}" for i, r in enumerate(runs)]))
     length = max(SEGMENT, sum(len(r.t) / r.sample_rate for r in runs) / SEGMENTS)
     parts = [max(round(len(r.t) / r.sample_rate / length), 1) for r in runs]
-    segment = tuple(first + np.arange(len(r.t)) * count // len(r.t)
-                    for r, count, first in zip(runs, parts, np.cumsum(parts) - parts, strict=True))
-    return Dataset(
-        rig=meshed, runs=tuple(runs), windows=kept, logged=logged,
-        measured=tuple(np.stack([r.encoder, r.accel] if has_accel else [r.encoder]).astype(float) for r in runs),
-        share=tuple(_shares(r, w, encoder)[: 1 + has_accel] for r, w in zip(runs, kept, strict=True)),
-        noise=(encoder, accel), noise_rows=rows,
-        start=np.array([float(np.mean(r.encoder[rest_start(r)])) * rig.angle_per_count for r in runs]),
-        offset=np.array([float(np.mean(r.accel[: len(r) if w else max(rest_rows(r), 1)])) if has_accel else 0.0
-                         for r, w in zip(runs, warm, strict=True)]),
-        warm=warm, zero_group=tuple(groups.index(z) for z in zero_ids), clock=clock_evidence(tests), segment=segment,
-        segment_run=np.repeat(np.arange(len(runs)), parts))
+    records = tuple(
+        _record(meshed, run, window, (encoder, accel)[: 1 + has_accel], groups.index(zero),
+                first + np.arange(len(run.t)) * count // len(run.t))
+        for run, window, zero, first, count
+        in zip(runs, windows or [slice(None)] * len(runs), zero_ids, np.cumsum(parts) - parts, parts, strict=True))
+    return Dataset(meshed, records, noise=(encoder, accel), noise_rows=rows, clock=clock_evidence(tests),
+                   segment_run=np.repeat(np.arange(len(runs)), parts))
+
+
+def _record(rig: Rig, run: Run, window: slice, noise: Sequence[float], zero_group: int, segment: np.ndarray) -> Record:
+    """One run, its gaps filled, whose rows in a window count; ``noise`` of each channel, counts."""
+    channels, logged, warm, kept = len(noise), run.logged, _warm_rows(rig, run, noise), np.zeros(len(run), dtype=bool)
+    kept[window] = logged[window]
+    kept[:warm] = False
+    readings = [run.encoder, run.accel][:channels]
+    rest = len(run) if warm else max(rest_rows(run), 1)
+    return Record(
+        run=run, logged=logged, window=kept, measured=np.stack(readings).astype(float),
+        share=_shares(run, kept, noise[0])[:channels],
+        start=float(np.mean(run.encoder[rest_start(run)])) * rig.angle_per_count,
+        offset=float(np.mean(readings[1][:rest])) if channels > 1 else 0.0, warm=warm, zero_group=zero_group,
+        segment=segment)
 
 
 def first_seconds(data: Dataset, seconds: float) -> Dataset:
     """The same runs, of which each ends so long after its first command."""
-    ends = [max(int(np.argmax(run.command != run.command[0])), warm) + math.ceil(seconds * run.sample_rate)
-            for run, warm in zip(data.runs, data.warm, strict=True)]
+    def cut(one: Record) -> Record:
+        run = one.run
+        end = max(int(np.argmax(run.command != run.command[0])), one.warm) + math.ceil(seconds * run.sample_rate)
 
-    def cut(arrays: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
-        return tuple(np.ascontiguousarray(a[..., :end]) for a, end in zip(arrays, ends, strict=True))
-    return replace(data, runs=tuple(run.slice(0, end) for run, end in zip(data.runs, ends, strict=True)),
-                   windows=cut(data.windows), logged=cut(data.logged), measured=cut(data.measured),
-                   share=cut(data.share), segment=cut(data.segment))
+        def first(rows: np.ndarray) -> np.ndarray:
+            return np.ascontiguousarray(rows[..., :end])
+        return replace(one, run=run.slice(0, end), logged=first(one.logged), window=first(one.window),
+                       measured=first(one.measured), share=first(one.share), segment=first(one.segment))
+    return replace(data, records=tuple(map(cut, data.records)))
 
 
 def _warm_rows(rig: Rig, run: Run, noise: Sequence[float]) -> int:

@@ -311,7 +311,7 @@ class _Descent:
         self.nuisance = nuisance_precision(data, weighing.differ)
         self.steps = np.append(np.full(space.size, STEP), own_steps(data)[data.free])
         self.steps[space.parts["places"]] = PLACE_STEP
-        self.of_runs = list(space.of_runs(data.zero_group))
+        self.of_runs = list(space.of_runs(data.zero_groups))
 
     def away(self, own: np.ndarray) -> np.ndarray:
         return (own - self.data.own)[:, self.data.free]
@@ -414,8 +414,9 @@ class _Descent:
         normal, gradient = np.zeros((stretches, blocks, size, size)), np.zeros((stretches, blocks, size))
         for r, (j, e) in enumerate(zip(jac, here.residuals, strict=True)):
             share = self.predictor.share(r)
-            for s in np.unique(data.segment[r]):
-                begin, end = np.searchsorted(data.segment[r], (s, s + 1))
+            segment = data.records[r].segment
+            for s in np.unique(segment):
+                begin, end = np.searchsorted(segment, (s, s + 1))
                 part = np.ascontiguousarray(j[:, :, begin:end].transpose(1, 0, 2))
                 squares[s], counts[s] = np.sum(e[:, begin:end] ** 2, axis=1), share[:, begin:end].sum(axis=1)
                 normal[s] = part @ part.transpose(0, 2, 1)

@@ -259,7 +259,7 @@ def parameters(data: Dataset, hypothesis: Hypothesis, centres: Sizes, fixed: Col
             mean.append(coordinate.to_x(value))
     known = int(all(effect.absolute is None for effect in rig.effects))
     shifted = known == 0 or any(cls.absolute is not None for cls, _ in hypothesis.effects)
-    zeros = 1 + max(data.zero_group) - known if shifted else 0
+    zeros = 1 + max(data.zero_groups) - known if shifted else 0
     held = _held(rig)
     places = len(data.runs) if any(cls.stage is Stage.GAP for cls, _ in hypothesis.effects) else 0
     mean += [0.0] * (zeros + len(held) + places)

@@ -186,21 +186,21 @@ class Predictor:
         """(runs, b) mean square of what was read, from where a run began, in units of the noise."""
         data = self.data
         first = np.stack([data.start / data.rig.angle_per_count, data.offset][: data.channels], axis=1)
-        found = [np.sum(((m - f[:, None]) / data.sigma[:, None]) ** 2 * s, axis=1)
-                 for m, s, f in zip(data.measured, data.share, first, strict=True)]
+        found = [np.sum(((one.measured - f[:, None]) / data.sigma[:, None]) ** 2 * one.share, axis=1)
+                 for one, f in zip(data.records, first, strict=True)]
         return (np.array(found) / np.maximum(data.counts, 1e-9))[:, self.channel]
 
     def measured(self, run: int) -> np.ndarray:
         """(b, n) what one run's predictions are held against, counts."""
-        return self.data.measured[run][self.channel]
+        return self.data.records[run].measured[self.channel]
 
     def share(self, run: int) -> np.ndarray:
         """(b, n) independent errors per sample."""
-        return self.data.share[run][self.channel]
+        return self.data.records[run].share[self.channel]
 
     def scale(self, run: int) -> np.ndarray:
         """(b, n) what makes one run's errors count alike: root of the errors per sample over their sigma, 1/counts."""
-        return (np.sqrt(self.data.share[run]) / self.data.sigma[:, None])[self.channel]
+        return (np.sqrt(self.data.records[run].share) / self.data.sigma[:, None])[self.channel]
 
     def independent(self, squares: np.ndarray, residuals: list[np.ndarray]) -> np.ndarray:
         """(runs, b) N of every block, from S (runs, b) and scaled errors (b, n) of every run."""
@@ -218,7 +218,7 @@ class Predictor:
         if not count:
             return [np.zeros((0, len(data.runs[r]))) for r in runs]
         logs = data.logs if len(runs) == len(data.runs) else data.log[runs[0]]
-        starts = [_start(data, model, r, angle, space.zero(x, data.zero_group[r]), space.place(x, r))
+        starts = [_start(data, model, r, angle, space.zero(x, data.records[r].zero_group), space.place(x, r))
                   for r, angle in zip(runs, own[:, 0].tolist(), strict=True)]
         blocks, accel_at = len(self.channel), np.full(count, -1)
         accel_at[-1] = count if blocks > count else -1

@@ -81,7 +81,7 @@ def residuals(result: DiagnosisResult) -> list[Residual]:
     found = []
     for r, (number, _) in enumerate(kept):
         errors = [_errors(data, model, observer, r) for model in models]
-        rows = data.windows[r]
+        rows = data.records[r].window
         if not all(np.all(np.isfinite(e)) for e in errors):
             continue
         for c, channel in enumerate(list(CHANNELS)[: data.channels]):
@@ -103,4 +103,4 @@ def _same_mesh(rig: Rig, like: Rig) -> Rig:
 
 def _errors(data: Dataset, model: Model, observer: Observer, r: int) -> np.ndarray:
     """(c, n) measured less predicted, counts."""
-    return data.measured[r] - predict_run(data, model, (observer,), r, data.own[r])[0][0, : data.channels]
+    return data.records[r].measured - predict_run(data, model, (observer,), r, data.own[r])[0][0, : data.channels]

@@ -17,8 +17,8 @@ LOGGED = {"all": np.ones(ROWS), "every other": (np.arange(ROWS) % 2 == 0).astype
 
 def left(errors: np.ndarray, logged: np.ndarray) -> Remainder:
     """Of one run whose encoder is read at some rows; errors (n) in units of the noise."""
-    predictor = SimpleNamespace(data=SimpleNamespace(channels=1, share=[logged[None]], noise_rows=10**6),
-                                observers=(None,), channel=np.zeros(1, dtype=int))
+    data = SimpleNamespace(channels=1, records=[SimpleNamespace(share=logged[None])], noise_rows=10**6)
+    predictor = SimpleNamespace(data=data, observers=(None,), channel=np.zeros(1, dtype=int))
     return remainder(predictor, SimpleNamespace(residuals=[(errors * np.sqrt(logged))[None]]))
 
 

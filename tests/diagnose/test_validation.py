@@ -122,7 +122,7 @@ def test_every_run_is_left_out_once_from_where_the_fit_of_all_ended(monkeypatch:
     monkeypatch.setattr(module, "fit", fit)
     space = SimpleNamespace(with_own_of=lambda x, other, run, zero_group: f"{x}, {other}'s own of {run}")
     found = SimpleNamespace(space=space, x="here", own=None, jacobian="known", light="of all")
-    predictor = SimpleNamespace(data=SimpleNamespace(runs=[None] * 3, zero_group=(0,) * 3), pool=Pool())
+    predictor = SimpleNamespace(data=SimpleNamespace(runs=[None] * 3, zero_groups=(0,) * 3), pool=Pool())
     left = leave_each_out(predictor, None, found)
     assert [one.x for one in left[:2]] == ["without 0, here's own of 0", "without 1, here's own of 1"]
     assert left[2] == "of all"
@@ -135,4 +135,4 @@ def test_every_run_is_left_out_once_from_where_the_fit_of_all_ended(monkeypatch:
 def test_a_loop_that_cannot_be_closed_again_is_predicted_half_a_second_ahead(kind: str, warm: int, ahead: float | None,
                                                                              ) -> None:
     run = SimpleNamespace(metadata=SimpleNamespace(controller={"kind": kind}), open_loop=kind == "open")
-    assert seconds_ahead(SimpleNamespace(runs=[run], warm=(warm,)), 0) == ahead
+    assert seconds_ahead(SimpleNamespace(runs=[run], records=[SimpleNamespace(warm=warm)]), 0) == ahead

@@ -29,10 +29,11 @@ def test_the_order_of_runs_is_their_contents_whatever_the_order_given() -> None:
 def test_stretches_cover_every_row_once_and_none_spans_two_runs() -> None:
     data = dataset(AXIS, runs_of(AXIS))
     assert data.channels == 1 and not data.has_accel
-    for r, own in enumerate(data.segment):
+    for r, own in enumerate(one.segment for one in data.records):
         assert len(own) == len(data.runs[r]) and np.all(np.diff(own) >= 0) and np.all(np.diff(own) <= 1)
         assert np.all(data.segment_run[own] == r)
-    assert np.array_equal(np.unique(np.concatenate(data.segment)), np.arange(len(data.segment_run)))
+    every = np.concatenate([one.segment for one in data.records])
+    assert np.array_equal(np.unique(every), np.arange(len(data.segment_run)))
     assert len(data.segment_run) <= SEGMENTS
 
 
@@ -40,7 +41,8 @@ def test_rows_outside_a_window_hold_no_errors() -> None:
     runs = runs_of(AXIS)
     windows = [slice(0, 200), slice(300, None), slice(None)]
     data, whole = dataset(AXIS, runs, windows), dataset(AXIS, runs)
-    for window, own, full in zip(windows, data.share, whole.share, strict=True):
+    for window, one, every in zip(windows, data.records, whole.records, strict=True):
+        own, full = one.share, every.share
         inside = np.zeros(full.shape[1], dtype=bool)
         inside[window] = True
         assert np.array_equal(own[:, inside], full[:, inside]) and not own[:, ~inside].any()
@@ -49,14 +51,14 @@ def test_rows_outside_a_window_hold_no_errors() -> None:
 def test_runs_share_a_zero_only_where_they_say_so() -> None:
     runs = runs_of(AXIS)
     apart = [replace(run, metadata=run.metadata.model_copy(update={"zero_id": None})) for run in runs]
-    assert dataset(AXIS, runs).zero_group == (0, 0, 0) and dataset(AXIS, apart).zero_group == (0, 1, 2)
+    assert dataset(AXIS, runs).zero_groups == (0, 0, 0) and dataset(AXIS, apart).zero_groups == (0, 1, 2)
 
 
 def test_a_run_begins_in_motion_where_its_first_rows_do_what_a_rig_at_rest_cannot() -> None:
     pulses = run_of(AXIS, 60.0, "open", "pulses", 3.0)
     cuts = [pulses.slice(first) for first in (0, 20, 49, 100, 150)]
     rows = round(WARM * AXIS.sample_rate)
-    assert dataset(AXIS, cuts).warm == (0, 0, 0, rows, rows)
+    assert [record.warm for record in dataset(AXIS, cuts).records] == [0, 0, 0, rows, rows]
 
 
 def test_a_step_in_the_first_row_is_no_motion_whatever_the_rigs_gain() -> None:
@@ -64,7 +66,7 @@ def test_a_step_in_the_first_row_is_no_motion_whatever_the_rigs_gain() -> None:
         rig = AXIS.with_constants({"motor.gain": gain * AXIS.motor.gain})
         run = run_of(rig, 90.0, "p2", "step", 2.0)
         begun = run.slice(int(np.argmax(run.reference != 0.0)))
-        assert dataset(AXIS, [begun]).warm == (0,)
+        assert dataset(AXIS, [begun]).records[0].warm == 0
 
 
 def test_a_beam_that_rings_is_in_motion_though_its_base_stands_still() -> None:
@@ -73,14 +75,15 @@ def test_a_beam_that_rings_is_in_motion_though_its_base_stands_still() -> None:
     ringing = next(int(row) for row in still if np.ptp(run.accel[row:row + 10]) > 0.2 * np.ptp(run.accel))
     cut = run.slice(ringing)
     assert len(cut) > 2 * WARM * rig.sample_rate
-    assert dataset(rig, [cut]).warm[0] > 0
+    assert dataset(rig, [cut]).records[0].warm > 0
 
 
 def test_rows_in_which_the_state_is_found_do_not_count() -> None:
     data = dataset(AXIS, [run_of(AXIS, 60.0, "open", "pulses", 3.0).slice(150)])
-    assert data.warm[0] > 0
-    assert not data.share[0][:, : data.warm[0]].any() and not data.windows[0][: data.warm[0]].any()
-    assert data.share[0][:, data.warm[0]:].any()
+    one = data.records[0]
+    assert one.warm > 0
+    assert not one.share[:, : one.warm].any() and not one.window[: one.warm].any()
+    assert one.share[:, one.warm:].any()
 
 
 def test_a_log_of_every_other_tick_of_the_rig_is_one_with_gaps() -> None:
@@ -88,8 +91,8 @@ def test_a_log_of_every_other_tick_of_the_rig_is_one_with_gaps() -> None:
     thin = replace(run, **{name: values[::2] for name, values in run.columns().items()})
     data = dataset(AXIS, [thin])
     assert data.runs[0].sample_rate == AXIS.sample_rate
-    assert not data.logged[0][1::2].any() and data.logged[0][::2].all()
-    assert not data.share[0][:, 1::2].any()
+    assert not data.records[0].logged[1::2].any() and data.records[0].logged[::2].all()
+    assert not data.records[0].share[:, 1::2].any()
 
 
 def test_two_parts_of_one_run_are_one_test_of_noise_and_clock() -> None:

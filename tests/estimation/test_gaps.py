@@ -31,18 +31,18 @@ def with_gaps() -> Run:
 def test_lost_rows_do_not_count_and_the_others_count_as_in_the_whole_run():
     rig = load_rig("sflr")
     data, whole = dataset(rig, [with_gaps()]), dataset(rig, [step_run()])
-    assert np.array_equal(np.flatnonzero(~data.logged[0]), LOST)
-    assert np.all(data.share[0][:, LOST] == 0.0)
+    assert np.array_equal(np.flatnonzero(~data.records[0].logged), LOST)
+    assert np.all(data.records[0].share[:, LOST] == 0.0)
     # When a count was left is not known where rows are lost: that stay, and the ones beside it, may last longer.
-    stay = np.cumsum(np.diff(whole.measured[0][0], prepend=0.0) != 0.0)
+    stay = np.cumsum(np.diff(whole.records[0].measured[0], prepend=0.0) != 0.0)
     far = np.abs(stay[:, None] - stay[LOST]).min(axis=1) > 1
     assert 0.4 < np.mean(far) < 1.0
-    np.testing.assert_array_equal(data.share[0][:, far], whole.share[0][:, far])
+    np.testing.assert_array_equal(data.records[0].share[:, far], whole.records[0].share[:, far])
 
 
 def test_windows_keep_lost_rows_out():
     data = dataset(load_rig("sflr"), [with_gaps()], [slice(0, 100)])
-    assert data.windows[0].sum() == 97 and not data.windows[0][100:].any()
+    assert data.records[0].window.sum() == 97 and not data.records[0].window[100:].any()
 
 
 def test_what_stands_in_a_gap_never_reaches_a_prediction():
@@ -50,11 +50,11 @@ def test_what_stands_in_a_gap_never_reaches_a_prediction():
     found = []
     for spoil in (0.0, 500.0):
         data = dataset(rig, [with_gaps()])
-        data.measured[0][:, LOST] += spoil
+        data.records[0].measured[:, LOST] += spoil
         predictor = Predictor(data, observers(data.rig, data.noise[0]), Pool())
         space = parameters(data, Hypothesis(), {})
         found.append(predictor.runs(space, np.zeros(space.size), data.own)[0])
-    read = replace(data, logged=tuple(np.ones_like(rows) for rows in data.logged))
+    read = replace(data, records=tuple(replace(one, logged=np.ones_like(one.logged)) for one in data.records))
     heard = predictor.on(read).runs(space, np.zeros(space.size), data.own)[0]
     np.testing.assert_array_equal(found[0], found[1])
     assert np.abs(heard - found[0]).max() > 1.0

@@ -196,4 +196,4 @@ def test_zeros_that_are_moved_in_all_runs_at_once_move_each_run_by_its_own() -> 
     for group in (0, 1):
         for r, alone in enumerate(descent.column(here, first + group)):
             np.testing.assert_array_equal(jacobian[r][first + group], alone)
-            assert np.any(alone) == (predictor.data.zero_group[r] == group)
+            assert np.any(alone) == (predictor.data.zero_groups[r] == group)

@@ -116,14 +116,14 @@ def test_a_zero_is_unknown_unless_absolute_angles_are_counted_from_it(stated, su
     space = parameters(data, Hypothesis(((ROUND, "encoder"),) if supposed else ()), CENTRES)
     x = space.mean.copy()
     x[space.parts["zeros"]] = 1.0 + np.arange(space.zeros)
-    assert [space.zero(x, group) for group in data.zero_group] == wanted
+    assert [space.zero(x, group) for group in data.zero_groups] == wanted
 
 
 def test_a_run_that_is_left_out_keeps_a_zero_that_no_other_has() -> None:
     data = dataset(AXIS.with_effects([TILT(at="base", torque=0.02, angle=0.3)]), zeroed("bench", "other", "bench"))
     space = parameters(data, Hypothesis(), {})
     x, other = space.mean, space.mean + 1.0
-    kept = [space.with_own_of(x, other, run, data.zero_group) - x for run in range(3)]
+    kept = [space.with_own_of(x, other, run, data.zero_groups) - x for run in range(3)]
     first = space.parts["zeros"].start
     np.testing.assert_array_equal(kept, [np.zeros(space.size), np.arange(space.size) == first + 1,
                                          np.zeros(space.size)])

@@ -24,7 +24,8 @@ from tests.truth import SFLR, innovations
 
 def predict(model: Model, watched: Sequence[Observer], run: Run, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of a run that begins at rest."""
-    return predict_run(replace(dataset(model.rig, [run]), warm=(0,)), model, watched, 0, own)
+    data = dataset(model.rig, [run])
+    return predict_run(replace(data, records=(replace(data.records[0], warm=0),)), model, watched, 0, own)
 
 
 def begun(angle: float, offset: float = 0.0) -> np.ndarray:
@@ -116,9 +117,9 @@ def test_of_a_run_that_begins_in_motion_the_state_is_found_before_anything_count
     watched = observers(data.rig, data.noise[0], (math.inf,))
     found, torque = predict_run(data, model, watched, 0, data.own[0])
     rest = predict(model, watched, moving, data.own[0])[0]
-    rows = slice(data.warm[0], None)
+    rows = slice(data.records[0].warm, None)
     error, at_rest = (np.sqrt(np.mean((moving.encoder[rows] - y[0, 0, rows]) ** 2)) for y in (found, rest))
-    assert data.warm[0] > 0 and not torque[0, rows].any()
+    assert data.records[0].warm > 0 and not torque[0, rows].any()
     assert error < 1.0 and at_rest > 5.0 * error
 
 
