@@ -32,6 +32,6 @@ def collinear(search: Selection, best: Causes, cause: Key) -> frozenset[Key]:
 
 def _distance(search: Selection, one: Fit, other: Fit) -> float:
     """Squared, of what two fits predict."""
-    weights = one.blocks(search.weighing)
+    weights = one.blocks(search.compared)
     return sum(float(w @ np.sum(((a - b) * search.predictor.scale(r)) ** 2, axis=1))
                for r, (w, a, b) in enumerate(zip(weights, one.predicted, other.predicted, strict=True)))

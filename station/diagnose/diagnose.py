@@ -87,7 +87,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
                     stability=finding.by_law.stability.get(key, 0.0),
                     rivals=rivals(told, said.causes, key, known)) for key in order]
     refit_rig = nothing.space.rig_at(nothing.x)
-    extended = best.space.rig_at(best.x) if causes else refit_rig
+    extended = shown.space.rig_at(shown.x)
     comparisons = [RunComparison(run, before, refit, after if causes else None, seconds_ahead(data, k), part,
                                  shown.space.zero(shown.x, data.records[k].zero_group))
                    for k, (run, before, refit, after, part) in enumerate(

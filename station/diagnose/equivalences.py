@@ -39,7 +39,7 @@ from station.diagnose.result import NextExperiment, Rival, Verdict
 from station.diagnose.thresholds import BELIEVABLE, LISTED, LOG_PRIOR, LOG_PRIOR_PARAMETER, SURE
 from station.estimation.cause import Key, Sizes, constant, constant_path, is_constant
 from station.estimation.dataset import Dataset
-from station.estimation.parameters import WIDE
+from station.estimation.parameters import WIDE, clock_sigma
 from station.model.effects import Stage, effect_class
 from station.model.units import UNITS, UnknownUnitError, dimension, powers
 from station.rig import Rig
@@ -173,7 +173,7 @@ class _Constants:
             i = self.paths.index(path)
             found[i, i] += WIDE**2
         if CLOCK in causes:
-            found += _clock_sigma(self.setting.rig) ** 2 * np.outer(self.time, self.time)
+            found += clock_sigma(self.setting.rig) ** 2 * np.outer(self.time, self.time)
         return found
 
     def log_odds(self, other: frozenset[Key], directions: Sequence[np.ndarray]) -> float:
@@ -203,11 +203,6 @@ class _Constants:
         """How far along a direction, itself known to sigma, the constants are most probable under another set."""
         precision = np.linalg.inv(self.covariance(other))
         return -float(direction @ precision @ self.logs) / (float(direction @ precision @ direction) + sigma**-2)
-
-
-def _clock_sigma(rig: Rig) -> float:
-    """Prior sigma of the logarithm of a clock's ratio: the size that is looked for first, WIDE at its upper end."""
-    return math.exp(WIDE) * max(abs(math.log(g["ratio"])) for g in effect_class(CLOCK[0]).guesses(rig, CLOCK[1]))
 
 
 def _unit(which: int, causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
@@ -240,7 +235,7 @@ def _time(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
         return [Side(other, rescaled(_with(rig, [CLOCK], {}), time=1.0 / ratio), known.log_odds(other, known.units))]
     found = []
     for other, log_odds in known.believable([CLOCK]):
-        ratio = math.exp(known.along(other - {CLOCK}, known.time, _clock_sigma(setting.rig)))
+        ratio = math.exp(known.along(other - {CLOCK}, known.time, clock_sigma(setting.rig)))
         found.append(Side(other, _with(rescaled(rig, time=ratio), [], {CLOCK: {"ratio": ratio}}), log_odds))
     return found
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -68,13 +68,15 @@ def bought(search: Selection, best: Causes, key: Key) -> float:
 
 def between_runs(search: Selection, finding: Finding) -> BetweenRuns:
     """In what runs differ; each as probable, before what is kept for something unknown, as a further cause would be."""
-    found, seen = BetweenRuns(), differences(finding.rough, search.weighing, resamples(search))
-    for name, one in zip(("share", "constant"), seen, strict=True):
+    weighing = search.compared
+    found, seen = BetweenRuns(), differences(finding.rough, weighing, resamples(search))
+    own = replace(weighing, differ=(seen[0].size, seen[1].size))
+    for name, one, narrowing in zip(("share", "constant"), seen, finding.rough.log_narrowing(own), strict=True):
         stability = float(np.mean(2.0 * one.log_odds > VARIES))
         if one.gained > VARIES and stability >= STABLE:
             setattr(found, name, one.size)
             found.probability[name] = (1.0 - finding.outside) * float(
-                np.mean(expit(one.log_odds[-RESAMPLES:] + LOG_PRIOR)))
+                np.mean(expit(one.log_odds[-RESAMPLES:] + narrowing + LOG_PRIOR)))
             found.stability[name] = stability
     if found.probability:
         found.runs = [OwnOfRun(run=run.name, share=own[2], constant=own[3])

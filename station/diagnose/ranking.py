@@ -23,7 +23,7 @@ def ranking(search: Selection, found: Odds, unseen: Unseen) -> list[RankedCause]
             rows.append(RankedCause(key[0], key[1], found.causes.get(key, 0.0), 0.0, None, "by an equivalence"))
             continue
         keys, fitted = holders[0], search.fits[holders[0]]
-        gained = (unseen_gain(search.weighing, densities[keys] - densities[frozenset()]) if keys in densities else None)
+        gained = (unseen_gain(search.compared, densities[keys] - densities[frozenset()]) if keys in densities else None)
         bought = 2.0 * (search.evidence(fitted) - search.evidence(nothing))
         rows.append(RankedCause(key[0], key[1], found.causes.get(key, 0.0), bought, gained,
                                 "" if len(keys) == 1 else f"as part of {fitted.space.hypothesis.label}"))
@@ -33,7 +33,7 @@ def ranking(search: Selection, found: Odds, unseen: Unseen) -> list[RankedCause]
 def notes(rig: Rig, search: Selection, finding: Finding, unseen: Unseen) -> list[str]:
     """What was done and what is left, a sentence each."""
     data, said, spoken, left = search.predictor.data, finding.said, finding.by_law, finding.left
-    weighing = search.judging or search.weighing
+    weighing = search.compared
     found = [f"{len(search.fits)} sets of causes fitted to {len(data.runs)} runs",
              f"noise: encoder {data.noise[0]:.2f}"
              + (f", accelerometer {data.noise[1]:.2f}" if data.has_accel else "") + " counts",

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from station.diagnose.thresholds import NOISE
-from station.estimation.dataset import Dataset
 from station.estimation.least_squares import Fit
 from station.estimation.observer import noise_gain
 from station.estimation.prediction import Predictor
@@ -32,9 +31,10 @@ SPAN = 25
 """Samples."""
 
 
-def _size(data: Dataset, squares: np.ndarray, independent: np.ndarray) -> np.ndarray:
-    """z-scores of sums of squares, in units of the noise, of so many independent errors each."""
-    return (squares / independent - 1.0) / np.sqrt(3.0 / independent + 3.0 / data.noise_rows)
+def _size(squares: np.ndarray, independent: np.ndarray, freedoms: np.ndarray) -> np.ndarray:
+    """z-scores of sums of squares, in units of the noise, of so many independent errors each; ``freedoms``: of the
+    noise's estimate."""
+    return (squares / independent - 1.0) / np.sqrt(3.0 / independent + 3.0 / freedoms)
 
 
 def remainder(predictor: Predictor, found: Fit) -> Remainder:
@@ -46,12 +46,12 @@ def remainder(predictor: Predictor, found: Fit) -> Remainder:
     lasts all through.
     """
     data = predictor.data
-    size, slow = [], []
+    size, slow, freedoms = [], [], np.array(data.noise_freedoms[: data.channels])
     blocks = [len(predictor.observers) - 1, len(predictor.channel) - 1][: data.channels]
     for every, share in zip(found.residuals, (record.share for record in data.records), strict=True):
         e = every[blocks]
         independent = np.maximum(share.sum(axis=1), 1e-9)
-        size.append(_size(data, np.sum(e * e, axis=1), independent))
+        size.append(_size(np.sum(e * e, axis=1), independent, freedoms))
         rows = e.shape[1] // SPAN * SPAN
         sums = e[:, :rows].reshape(len(e), -1, SPAN).sum(axis=2) ** 2
         shares = share[:, :rows].reshape(len(e), -1, SPAN)
@@ -64,4 +64,5 @@ def remainder(predictor: Predictor, found: Fit) -> Remainder:
 def ahead_is_noise(predictor: Predictor, found: Fit) -> bool:
     """Whether what a fit misses of the encoder a few samples ahead is no more than the sensor's noise, fed back."""
     expected = noise_gain(predictor.observers[0], predictor.model(found.space, found.x))
-    return bool(np.all(_size(predictor.data, found.squares[:, 0] / expected, predictor.counts[:, 0]) < NOISE))
+    freedoms = np.array(predictor.data.noise_freedoms[0])
+    return bool(np.all(_size(found.squares[:, 0] / expected, predictor.counts[:, 0], freedoms) < NOISE))

@@ -7,6 +7,7 @@ off the best set and is the same for all sets that are compared; with it the sco
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -25,7 +26,7 @@ from station.estimation.cause import Causes, Key, Sizes
 from station.estimation.constants import base_fit, in_step, settled
 from station.estimation.least_squares import FAR, Fit, fit, inherited, weighing_of
 from station.estimation.likelihood import Weighing
-from station.estimation.parameters import Hypothesis, Parameters, parameters
+from station.estimation.parameters import Hypothesis, Parameters, clock_sigma, parameters
 from station.estimation.prediction import COARSE, FINE, SEARCH, Accuracy, Predictor
 from station.model.effects import Stage, effect_class
 
@@ -81,6 +82,11 @@ class Selection:
     _weighed: WeakKeyDictionary[Fit, tuple[Weighing, float, float]] = field(default_factory=WeakKeyDictionary)
     """As sets are compared: each fit's own weighing, its evidence, and the price of its own."""
 
+    @property
+    def compared(self) -> Weighing:
+        """What errors count for where sets are compared."""
+        return self.judging or self.weighing
+
     def evidence(self, found: Fit) -> float:
         """Log evidence of a set of causes, up to a constant.
 
@@ -113,7 +119,7 @@ class Selection:
 
     def _differing(self, found: Fit, may: tuple[bool, bool]) -> tuple[Weighing, float, float]:
         """The same where runs may differ in their share of the command, and in a constant."""
-        weighing = self.judging or self.weighing
+        weighing = self.compared
         own = replace(weighing, differ=found.most_likely_differ(weighing, may))
         price = found.log_narrowing(own) + (LOG_PRIOR if self.complete else 0.0)
         return own, found.log_evidence(own), float(price @ may)
@@ -134,11 +140,15 @@ class Selection:
         return np.where(np.isfinite(scores), scores, -np.inf)
 
     def clock_score(self, hypothesis: Hypothesis) -> float:
-        """What the clocks' own comparison says against a hypothesis that leaves the board's clock right."""
-        clock = self.predictor.data.clock
-        if clock is None or any(cls.stage is Stage.CLOCK for cls, _ in hypothesis.effects):
+        """Log density of the clocks' own comparison, over the highest that it has where the board's clock is right; one
+        that is off may be so by any ratio of its prior."""
+        data = self.predictor.data
+        if data.clock is None:
             return 0.0
-        return -0.5 * ((clock[0] - 1.0) / clock[1]) ** 2
+        ratio, sigma = data.clock
+        off = any(cls.stage is Stage.CLOCK for cls, _ in hypothesis.effects)
+        width = math.hypot(sigma, clock_sigma(data.rig)) if off else sigma
+        return -0.5 * (math.log(ratio) / width) ** 2 - math.log(width / sigma)
 
     def best(self) -> Fit:
         """The set of causes with the highest posterior."""

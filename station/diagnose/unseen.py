@@ -54,7 +54,7 @@ def unseen(search: Selection, finding: Finding) -> Unseen:
         left_out[frozenset()] = leave_each_out(predictor, search.own_weighing(nothing), nothing)
     alone, said = left_out[frozenset()], left_out[causes]
     refit = simulate_unseen(predictor, alone)
-    densities = {keys: log_densities(predictor, search.weighing, fits) for keys, fits in left_out.items()}
+    densities = {keys: log_densities(predictor, search.compared, fits) for keys, fits in left_out.items()}
     gains = densities[causes] - densities[frozenset()]
     relieved = (relief(alone, said) + search.clock_score(finding.fit.space.hypothesis)
                 - search.clock_score(nothing.space.hypothesis))

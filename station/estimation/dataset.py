@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from station.errors import WorkError
-from station.estimation.noise import QUANTISATION, noise_sigmas, rest_rows, rest_start, rounding_shares
+from station.estimation.noise import QUANTISATION, noise_of, rest_rows, rest_start, rounding_shares
 from station.estimation.observer import Observer, observers
 from station.model.simulate import build, simulate_model
 from station.rig import PROFILE, Rig
@@ -22,8 +22,9 @@ SEGMENT = 1.0
 """Length of the stretches that are drawn again when data are resampled, s: longer than an arm's errors remember."""
 SEGMENTS = 40
 """Most stretches in all runs together; they grow longer instead."""
-CLOCK_BIAS = 2e-5
-"""Least standard error of a clock's ratio: what receipt that is later at one end of a run than at the other feigns."""
+CLOCK_BIAS = 1e-4
+"""Least standard error of a clock's ratio: two quartz clocks of 50 ppm each, in order, tick so far apart.  Receipt that
+is later at one end of a run than at the other feigns a fifth of it."""
 FINDS = 0.1
 """Horizon (s) of the observer that finds the state of a rig in motion.  Of a shorter one the base follows the encoder
 so stiffly that the beam's errors ring on as on a clamp; a longer one's base forgets late."""
@@ -93,7 +94,8 @@ class Dataset:
     records: tuple[Record, ...]
     noise: tuple[float, float]
     """Standard deviation before rounding of encoder and accelerometer, counts."""
-    noise_rows: int
+    noise_freedoms: tuple[float, float]
+    """Degrees of freedom of their estimates."""
     clock: tuple[float, float] | None
     segment_run: np.ndarray
     """(stretches) the run of each."""
@@ -224,7 +226,7 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
             raise WorkError(f"{run.name}: no accelerometer column, but other runs have one; leave out one or the other")
         if abs(run.sample_rate / rig.sample_rate - 1.0) > RATES:
             raise WorkError(f"{run.name}: sampled at {run.sample_rate:.6g} Hz, the rig at {rig.sample_rate:.6g} Hz")
-    encoder, accel, rows = noise_sigmas(tests)
+    noise = noise_of(tests)
     meshed = rig.meshed()
     if rig.beam is not None:    # it need not be quite uniform
         meshed = meshed.model_copy(update={"uncertainty": {**dict.fromkeys(sorted(PROFILE), RIGIDITY),
@@ -233,11 +235,11 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
     length = max(SEGMENT, sum(len(r.t) / r.sample_rate for r in runs) / SEGMENTS)
     parts = [max(round(len(r.t) / r.sample_rate / length), 1) for r in runs]
     records = tuple(
-        _record(meshed, run, window, (encoder, accel)[: 1 + has_accel], groups.index(zero),
+        _record(meshed, run, window, noise.sigmas[: 1 + has_accel], groups.index(zero),
                 first + np.arange(len(run.t)) * count // len(run.t))
         for run, window, zero, first, count
         in zip(runs, windows or [slice(None)] * len(runs), zero_ids, np.cumsum(parts) - parts, parts, strict=True))
-    return Dataset(meshed, records, noise=(encoder, accel), noise_rows=rows, clock=clock_evidence(tests),
+    return Dataset(meshed, records, noise=noise.sigmas, noise_freedoms=noise.freedoms, clock=clock_evidence(tests),
                    segment_run=np.repeat(np.arange(len(runs)), parts))
 
 

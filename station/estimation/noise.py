@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -65,12 +66,20 @@ def rest_start(run: Run) -> slice:
     return slice(max(min(rest_rows(run), RESTS), 1))
 
 
-def noise_sigmas(runs: list[Run]) -> tuple[float, float, int]:
-    """Standard deviations before rounding (encoder, accelerometer), counts, and the rows that they rest on.
+class Noise(NamedTuple):
+    """Of encoder and accelerometer."""
 
-    Pooled over the runs' rests, rows that were logged alone; without any, the encoder's is its ``scatter``, the
-    accelerometer's is a default and the rows are 1.  Rounding's own variance q^2/12, which a reading that moves at all
-    holds, is taken off.
+    sigmas: tuple[float, float]
+    """Standard deviations before rounding, counts."""
+    freedoms: tuple[float, float]
+    """Degrees of freedom of their estimates, at least 1."""
+
+
+def noise_of(runs: list[Run]) -> Noise:
+    """What sensors' readings scatter by, pooled over the runs' rests, rows that were logged alone.
+
+    Without any rest, the encoder's is its ``scatter``, the accelerometer's a default.  Rounding's own variance q^2/12,
+    which a reading that moves at all holds, is taken off.
     """
     rests = [(run, np.flatnonzero(run.logged[: rest_rows(run)])) for run in runs]
 
@@ -81,27 +90,32 @@ def noise_sigmas(runs: list[Run]) -> tuple[float, float, int]:
         return sum(float(part @ part) for part in centred), sum(part.size - 1 for part in centred)
 
     (encoder, encoder_rows), (accel, accel_rows) = pooled("encoder"), pooled("accel")
-    variances = (encoder / encoder_rows if encoder_rows else scatter(runs),
-                 accel / accel_rows if accel_rows else ACCEL_DEFAULT**2 + QUANTISATION)
-    sigmas = [float(np.sqrt(max(variance - QUANTISATION, 0.0))) for variance in variances]
-    return sigmas[0], sigmas[1], max(accel_rows or encoder_rows, 1)
+    angle, freedoms = (encoder / encoder_rows, float(encoder_rows)) if encoder_rows else scatter(runs)
+    acceleration = accel / accel_rows if accel_rows else ACCEL_DEFAULT**2 + QUANTISATION
+    angle, acceleration = (math.sqrt(max(variance - QUANTISATION, 0.0)) for variance in (angle, acceleration))
+    return Noise((angle, acceleration), (max(freedoms, 1.0), max(float(accel_rows), 1.0)))
 
 
-def scatter(runs: list[Run]) -> float:
-    """Variance of encoders' readings about a smooth motion, counts^2; 0 where rounding could make it, and of few rows.
+def scatter(runs: list[Run]) -> tuple[float, float]:
+    """Variance of encoders' readings about a smooth motion, counts^2, and its degrees of freedom; 0 and 0 where
+    rounding could make it, and of few rows.
 
     Mean square of their m-th differences over that of white noise of variance one, C(2m, m), in the median of all
     blocks: blows are no noise (Hall, Kay and Titterington, Biometrika 77, 1990).  Rounding errors of half a count make
-    differences of 2^m / 2 at most.
+    differences of 2^m / 2 at most.  Of n differences the mean square is as uncertain as of n C(2m, m)^2 / C(4m, 2m)
+    independent ones, a median as a mean of 2/pi of them.
     """
     whole = math.comb(2 * ORDER, ORDER)
-    found = []
+    found, rows = [], 0
     for run in (run for run in runs if len(run) > ORDER):
         known = np.convolve(run.logged, np.ones(ORDER + 1), "valid") > ORDER
         squares = np.diff(run.encoder, ORDER)[known] ** 2 / whole
         found += [float(np.mean(block)) for block in np.split(squares, range(BLOCK, squares.size, BLOCK)) if block.size]
+        rows += squares.size
     variance = float(np.median(found)) if found else 0.0
-    return variance if variance > 4.0 ** (ORDER - 1) / whole else 0.0
+    if variance <= 4.0 ** (ORDER - 1) / whole:
+        return 0.0, 0.0
+    return variance, rows * whole**2 / math.comb(4 * ORDER, 2 * ORDER) * 2.0 / math.pi
 
 
 def correlation_time(values: np.ndarray) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 
 from station.estimation.cause import Causes, Key, Sizes, constant
 from station.estimation.dataset import Dataset
-from station.model.effects import Effect, ParameterInfo, Stage
+from station.model.effects import Effect, ParameterInfo, Stage, effect_class
 from station.rig import Rig
 
 FARTHEST = 8.0
@@ -266,6 +266,12 @@ def parameters(data: Dataset, hypothesis: Hypothesis, centres: Sizes, fixed: Col
     precision += [PLACE**-2] * zeros + [1.0] * (len(held) + places)
     return Parameters(rig, hypothesis, paths, np.linalg.cholesky(covariance), tuple(coordinates), known, zeros, held,
                       places, np.array(mean), np.array(precision))
+
+
+def clock_sigma(rig: Rig) -> float:
+    """Prior sigma of the logarithm of a clock's ratio: the size that is looked for first, WIDE at its upper end."""
+    usual = effect_class("clock_scale").guesses(rig, "clock")
+    return math.exp(WIDE) * max(abs(math.log(guess["ratio"])) for guess in usual)
 
 
 def _held(rig: Rig) -> tuple[Held, ...]:

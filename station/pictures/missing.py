@@ -23,7 +23,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from station.errors import UsageError
-from station.estimation.noise import QUANTISATION, noise_sigmas, rest_start
+from station.estimation.noise import QUANTISATION, noise_of, rest_start
 from station.model import stepper
 from station.model.along import TORQUES, axis_load, effective_command, held_torque, joint_torque, part_of, true_encoder
 from station.model.assembly import Assembly, torque_input
@@ -236,7 +236,7 @@ def _system(plant: _Plant, port: np.ndarray, run: Run) -> _System:
         start[:modes, :modes] += np.outer(z, z)
     if channels == 2:
         f[-1, -1] = h[1, -1] = noise[-1, 1] = start[-1, -1] = 1.0
-    sigmas = noise_sigmas([run])
+    sigmas = noise_of([run]).sigmas
     return _System(f, h, np.array([s**2 + QUANTISATION for s in sigmas[:channels]]), start, noise)
 
 

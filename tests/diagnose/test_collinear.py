@@ -21,7 +21,7 @@ def search(**changes: tuple[Causes, np.ndarray]) -> SimpleNamespace:
     """Fits of sets that change so much of the first run, nothing of the second."""
     fits = {keys: SimpleNamespace(predicted=[change, np.zeros((1, 2))], blocks=lambda weighing: WEIGHTS)
             for keys, change in changes.values()}
-    return SimpleNamespace(fits=fits, weighing=None, predictor=SimpleNamespace(scale=lambda run: SCALES[run]))
+    return SimpleNamespace(fits=fits, compared=None, predictor=SimpleNamespace(scale=lambda run: SCALES[run]))
 
 
 def others(rest: set[Key], other: np.ndarray, best: np.ndarray = DONE) -> Causes:

@@ -13,7 +13,7 @@ from station.diagnose.measures import floor, nrmse
 from station.diagnose.result import Cause, Diagnosis, DiagnosisResult, Estimate, Gain, Rival
 from station.diagnose.thresholds import EXPLAINABLE
 from station.errors import StationError, UsageError, WorkError
-from station.estimation.noise import noise_sigmas
+from station.estimation.noise import noise_of
 from station.rig import Rig, load_rig
 from station.runs.run import Run, RunMetadata
 from station.runs.step_response import overshoot
@@ -147,7 +147,7 @@ def test_the_extended_rig_holds_the_causes_and_nothing_else(diagnoses, name):
 def test_the_gain_is_that_of_the_simulations_shown(diagnoses, name):
     """nrmse over the held-out runs and the explained share, by the contract's formulas from the comparisons."""
     runs, result = diagnoses(name)
-    gain, noise = result.diagnosis.gain, noise_sigmas(runs)
+    gain, noise = result.diagnosis.gain, noise_of(runs).sigmas
     assert gain.held_out == [run.name for run in runs]
     shares = []
     for channel, sigma in (("encoder", noise[0]), ("accel", noise[1])):

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from station.diagnose.selection import EFFORTS, Selection, _finish, _look_back, leading
 from station.diagnose.thresholds import LOG_PRIOR, LOG_PRIOR_PARAMETER
+from station.estimation.dataset import CLOCK_BIAS
 from station.estimation.least_squares import fit
 from station.estimation.likelihood import Weighing
-from station.estimation.parameters import Hypothesis, parameters
+from station.estimation.parameters import Hypothesis, clock_sigma, parameters
 from station.model.effects import effect_class
 from tests.estimation.made import AXIS, predictions, runs_of
 
@@ -40,7 +43,7 @@ def found(evidence: float, *effects: tuple, constants: tuple[str, ...] = (), nar
 
 
 def searching(clock: tuple[float, float] | None = None) -> Selection:
-    return Selection(SimpleNamespace(data=SimpleNamespace(clock=clock)), EFFORTS["quick"],
+    return Selection(SimpleNamespace(data=SimpleNamespace(clock=clock, rig=None)), EFFORTS["quick"],
                      Weighing(np.ones((1, 1)), 1.0))
 
 
@@ -74,9 +77,18 @@ def test_where_only_noise_is_left_that_runs_differ_costs_what_a_cause_does_and_a
 
 
 def test_clocks_that_disagree_speak_against_every_set_that_leaves_the_boards_clock_right() -> None:
-    search = searching((1.004, 0.001))
-    assert search.score(found(0.0)) == pytest.approx(-8.0)
-    assert search.score(found(0.0, CLOCK)) == pytest.approx(LOG_PRIOR)
+    """One that is off may be so by any ratio of its prior: what was read is one of many."""
+    search, ratio = searching((1.004, 0.001)), math.log(1.004)
+    assert search.score(found(0.0)) == pytest.approx(-0.5 * (ratio / 0.001) ** 2)
+    right, off = (norm.logpdf(ratio, scale=width) for width in (0.001, math.hypot(0.001, clock_sigma(AXIS))))
+    assert search.score(found(0.0, CLOCK)) - search.score(found(0.0)) == pytest.approx(LOG_PRIOR + off - right)
+
+
+@pytest.mark.parametrize(("ratio", "is_off"), [(1.0, False), (1.00008, False), (0.9997, False), (1.0007, True),
+                                               (0.999, True), (1.02, True)])
+def test_two_clocks_that_tick_apart_as_quartz_clocks_do_are_both_right(ratio: float, is_off: bool) -> None:
+    search = searching((ratio, CLOCK_BIAS))
+    assert (search.score(found(0.0, CLOCK)) > search.score(found(0.0))) == is_off
 
 
 def test_of_two_fits_of_the_same_causes_the_better_one_is_kept_and_the_best_set_is_found() -> None:

@@ -101,7 +101,7 @@ def test_two_parts_of_one_run_are_one_test_of_noise_and_clock() -> None:
     half = len(run) // 2
     both = dataset(AXIS, [run, replace(run, name="again")], [slice(0, half), slice(half, None)])
     alone = dataset(AXIS, [run])
-    assert both.noise_rows == alone.noise_rows and both.clock == alone.clock
+    assert both.noise_freedoms == alone.noise_freedoms and both.clock == alone.clock
 
 
 def test_a_clock_is_no_surer_for_more_runs_than_its_bias() -> None:

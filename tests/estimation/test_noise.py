@@ -7,7 +7,7 @@ from station.estimation.noise import (
     ACCEL_DEFAULT,
     QUANTISATION,
     SMOOTH,
-    noise_sigmas,
+    noise_of,
     rest_rows,
     rounding_shares,
     scatter,
@@ -49,22 +49,22 @@ def test_one_count_of_flicker_is_no_motion_and_a_run_at_rest_is_rest_throughout(
 @pytest.mark.parametrize("sigma", [0.8, 1.3, 4.0])
 def test_the_accelerometers_noise_is_found_before_rounding(sigma):
     runs = [made(100, sigma, seed) for seed in range(12)]
-    encoder, accel, rows = noise_sigmas(runs)
+    (encoder, accel), freedoms = noise_of(runs)
     assert accel == pytest.approx(sigma, rel=0.06)
     assert encoder == 0.0
-    assert rows == 12 * 99
+    assert freedoms == (12 * 99, 12 * 99)
 
 
 def test_runs_with_different_offsets_do_not_add_noise():
     runs = [made(100, 1.0, seed, offset=20.0 * seed) for seed in range(12)]
-    assert noise_sigmas(runs)[1] == pytest.approx(1.0, rel=0.06)
+    assert noise_of(runs).sigmas[1] == pytest.approx(1.0, rel=0.06)
 
 
 def test_an_encoder_that_dithers_shows_its_noise():
     runs = [made(100, seed=seed, encoder_sigma=0.45) for seed in range(12)]
     still = [run for run in runs if rest_rows(run) == 100]
     assert len(still) > 6
-    assert noise_sigmas(still)[0] == pytest.approx(0.45, abs=0.06)
+    assert noise_of(still).sigmas[0] == pytest.approx(0.45, abs=0.06)
 
 
 @pytest.mark.parametrize("sigma", [2.0, 8.0])
@@ -73,8 +73,16 @@ def test_a_sensor_whose_noise_never_lets_it_rest_shows_it_as_it_moves(sigma):
     jolted = [Run(r.name, r.t, r.reference, r.command, r.encoder + 40.0 * (np.arange(2000) % 700 > 650), r.accel,
                   r.metadata) for r in runs]
     assert all(rest_rows(run) < 10 for run in runs)
-    assert noise_sigmas(runs)[0] == pytest.approx(sigma, rel=0.05)
-    assert noise_sigmas(jolted)[0] == pytest.approx(sigma, rel=0.05)
+    assert noise_of(runs).sigmas[0] == pytest.approx(sigma, rel=0.05)
+    assert noise_of(jolted).sigmas[0] == pytest.approx(sigma, rel=0.05)
+
+
+def test_a_scatter_is_as_uncertain_as_its_degrees_of_freedom_say():
+    """Of many logs of the same sensor in motion, each by itself: variance of an estimated variance, 2/freedoms."""
+    found = [scatter([made(0, seed=seed, encoder_sigma=8.0, rows=400)]) for seed in range(400)]
+    variances, freedoms = np.array(found).T
+    assert np.ptp(freedoms) == 0.0
+    assert np.var(variances / np.mean(variances)) == pytest.approx(2.0 / freedoms[0], rel=0.2)
 
 
 @pytest.mark.parametrize("speed", [0.003, 0.01, 0.03, 0.1, 0.3])
@@ -93,8 +101,8 @@ def test_a_run_of_too_few_rows_says_nothing_of_noise(few):
     """The differences that would show it take nine rows; a longer run beside it counts alone."""
     run = made(100, seed=1, encoder_sigma=8.0, rows=2000)
     short = Run("short", run.t[:few], run.reference[:few], run.command[:few], run.encoder[:few], None, RunMetadata())
-    assert scatter([short]) == 0.0
-    assert scatter([run, short]) == pytest.approx(64.0, rel=0.1)
+    assert scatter([short]) == (0.0, 0.0)
+    assert scatter([run, short])[0] == pytest.approx(64.0, rel=0.1)
 
 
 @pytest.mark.parametrize("speed", [0.05, 0.5, 0.51, 3.7])
@@ -103,23 +111,23 @@ def test_rounding_is_no_noise_however_fast_an_encoder_moves(speed):
     run = Run("run", rows / 500.0, np.sin(rows), np.sin(rows), np.round(speed * rows), None, RunMetadata())
     swing = Run("run", rows / 500.0, np.sin(rows), np.sin(rows), np.round(300.0 * np.sin(speed * rows / 30.0)), None,
                 RunMetadata())
-    assert scatter([run]) == 0.0 and noise_sigmas([run, swing])[0] == 0.0
+    assert scatter([run]) == (0.0, 0.0) and noise_of([run, swing]).sigmas[0] == 0.0
 
 
 def test_a_silent_sensor_has_no_noise_but_its_rounding():
-    assert noise_sigmas([made(100, 0.0)])[:2] == (0.0, 0.0)
+    assert noise_of([made(100, 0.0)]).sigmas == (0.0, 0.0)
 
 
 def test_without_a_rest_the_default_stands_and_rests_on_one_row():
-    assert noise_sigmas([made(5, 3.0), made(0, 3.0)]) == (0.0, pytest.approx(ACCEL_DEFAULT), 1)
+    assert noise_of([made(5, 3.0), made(0, 3.0)]) == ((0.0, pytest.approx(ACCEL_DEFAULT)), (1.0, 1.0))
     # One run with a rest is enough, whatever the others do.
-    encoder, accel, rows = noise_sigmas([made(5, 3.0), made(400, 3.0)])
-    assert accel == pytest.approx(3.0, rel=0.15) and rows == 399
+    (_, accel), freedoms = noise_of([made(5, 3.0), made(400, 3.0)])
+    assert accel == pytest.approx(3.0, rel=0.15) and freedoms == (399.0, 399.0)
 
 
 def test_a_rig_without_accelerometer_rests_on_its_encoder():
-    encoder, accel, rows = noise_sigmas([made(100, accel=False, encoder_sigma=0.0)])
-    assert (encoder, accel, rows) == (0.0, pytest.approx(ACCEL_DEFAULT), 99)
+    found = noise_of([made(100, accel=False, encoder_sigma=0.0)])
+    assert found == ((0.0, pytest.approx(ACCEL_DEFAULT)), (99.0, 1.0))
 
 
 @pytest.mark.parametrize("rate", [1, 2, 10])
@@ -152,5 +160,5 @@ def test_rows_that_were_put_into_gaps_are_no_readings():
                whole.metadata, n=np.arange(0, 2400, 2))
     filled = half.filled()
     assert len(filled) > 1.9 * len(half)
-    _, accel, rows = noise_sigmas([filled])
-    assert accel == pytest.approx(3.0, rel=0.06) and rows == 999
+    (_, accel), freedoms = noise_of([filled])
+    assert accel == pytest.approx(3.0, rel=0.06) and freedoms == (999.0, 999.0)
