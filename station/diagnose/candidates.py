@@ -9,7 +9,7 @@ import numpy as np
 
 from station.estimation.cause import Key
 from station.estimation.dataset import Dataset
-from station.estimation.least_squares import Fit
+from station.estimation.fitted import Fit
 from station.estimation.parameters import Hypothesis, Parameters, parameters
 from station.model.effects import Effect, Stage, catalogue
 from station.rig import PROFILE, Rig

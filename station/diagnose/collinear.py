@@ -16,7 +16,7 @@ import numpy as np
 from station.diagnose.selection import Selection
 from station.diagnose.thresholds import TOLERANCE
 from station.estimation.cause import Causes, Key
-from station.estimation.least_squares import Fit
+from station.estimation.fitted import Fit
 
 
 def collinear(search: Selection, best: Causes, cause: Key) -> frozenset[Key]:

@@ -35,7 +35,7 @@ from station.diagnose.thresholds import DECIDES, SETTLED, UNLIKELY, VISIBLE
 from station.diagnose.trials import OVERSHOOT, Trial, most, trials
 from station.estimation.cause import Key
 from station.estimation.dataset import tests_of
-from station.estimation.least_squares import Fit
+from station.estimation.fitted import Fit
 from station.estimation.likelihood import NUISANCES
 from station.estimation.noise import ACCEL_DEFAULT, QUANTISATION, correlation_time, rounding_shares
 from station.estimation.parameters import prior_covariance

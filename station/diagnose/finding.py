@@ -17,7 +17,7 @@ from station.diagnose.thresholds import LOG_PRIOR, OUTSIDE, STABLE, VARIES
 from station.diagnose.verdict import Stated, stated
 from station.estimation.cause import Causes, Key
 from station.estimation.constants import refined
-from station.estimation.least_squares import Fit
+from station.estimation.fitted import Fit
 from station.estimation.spread import differences
 
 

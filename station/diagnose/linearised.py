@@ -21,7 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
-from station.estimation.least_squares import Fit
+from station.estimation.fitted import Fit
 from station.estimation.likelihood import cost
 from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor

@@ -22,8 +22,8 @@ from station.diagnose.selection import Selection
 from station.diagnose.thresholds import BEYOND, CLOSE, MENTION, OUTSIDE, VARIES
 from station.estimation.cause import Causes, Key, constant, constant_path, is_constant
 from station.estimation.dataset import SEVERAL
+from station.estimation.fitted import Fit
 from station.estimation.identifiability import NORMAL, parameter_states
-from station.estimation.least_squares import Fit
 from station.estimation.noise import QUANTISATION
 from station.estimation.spread import Spread, between_runs
 from station.model.effects import effect_class

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from station.diagnose.thresholds import NOISE
-from station.estimation.least_squares import Fit
+from station.estimation.fitted import Fit
 from station.estimation.observer import noise_gain
 from station.estimation.prediction import Predictor
 

@@ -22,7 +22,8 @@ from station.diagnose.candidates import Candidate
 from station.diagnose.linearised import Change, Linearised
 from station.estimation.cause import Key, Sizes
 from station.estimation.dataset import SEVERAL
-from station.estimation.least_squares import DIVERGED, Fit
+from station.estimation.fitted import Fit
+from station.estimation.least_squares import DIVERGED
 from station.estimation.parameters import parameters
 from station.estimation.prediction import Predictor
 from station.model.effects import Stage

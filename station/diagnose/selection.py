@@ -24,7 +24,8 @@ from station.diagnose.starts import Start, attempted, far_starts, rigid_starts
 from station.diagnose.thresholds import CLOSE, LOG_PRIOR, LOG_PRIOR_PARAMETER, WORTH_A_FIT
 from station.estimation.cause import Causes, Key, Sizes
 from station.estimation.constants import base_fit, in_step, settled
-from station.estimation.least_squares import FAR, Fit, fit, inherited, weighing_of
+from station.estimation.fitted import Fit, weighing_of
+from station.estimation.least_squares import FAR, fit, inherited
 from station.estimation.likelihood import Weighing
 from station.estimation.parameters import Hypothesis, Parameters, clock_sigma, parameters
 from station.estimation.prediction import COARSE, FINE, SEARCH, Accuracy, Predictor
@@ -127,8 +128,7 @@ class Selection:
     def score(self, found: Fit) -> float:
         """Log posterior of a set of causes, up to a constant."""
         hypothesis = found.space.hypothesis
-        zeros = found.space.zeros * found.space.known_zeros     # else they are there without any cause
-        further = sum(len(cls.parameters()) - 1 for cls, _ in hypothesis.effects) + zeros
+        further = sum(len(cls.parameters()) - 1 for cls, _ in hypothesis.effects)
         score = (self.evidence(found) + LOG_PRIOR * len(hypothesis.causes)
                  + LOG_PRIOR_PARAMETER * further + self.clock_score(hypothesis))
         return score if np.isfinite(score) else -np.inf

@@ -24,7 +24,8 @@ from station.diagnose.screening import freed
 from station.diagnose.thresholds import LOG_PRIOR, WORTH_A_FIT
 from station.estimation.constants import FIRST_SECONDS, in_step, unknown
 from station.estimation.dataset import first_seconds
-from station.estimation.least_squares import DIVERGED, Fit, fit, objective
+from station.estimation.fitted import Fit
+from station.estimation.least_squares import DIVERGED, fit, objective
 from station.estimation.likelihood import Weighing, cost
 from station.estimation.parameters import WIDE, Parameters, parameters
 from station.estimation.prediction import Predictor

@@ -18,7 +18,7 @@ from station.diagnose.validation import (
     simulate_unseen,
 )
 from station.estimation.cause import Causes
-from station.estimation.least_squares import Fit
+from station.estimation.fitted import Fit
 from station.model.simulate import Simulation
 
 Ahead = list[dict[str, float]]

@@ -13,7 +13,8 @@ from station.diagnose.measures import floor, nrmse, repeats, step_figures
 from station.diagnose.result import CHANNELS, ChannelGain, Gain, RunComparison, RunGain
 from station.diagnose.thresholds import EXPLAINABLE, UNSEEN
 from station.estimation.dataset import Dataset
-from station.estimation.least_squares import DIVERGED, Fit, fit, own_steps
+from station.estimation.fitted import Fit
+from station.estimation.least_squares import DIVERGED, fit, own_steps
 from station.estimation.likelihood import Weighing, cost, nuisance_precision
 from station.estimation.observer import observers
 from station.estimation.prediction import Predictor, angle_that_reads, predict_run

@@ -9,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from station.estimation.dataset import first_seconds
-from station.estimation.least_squares import DIVERGED, Fit, fit, largest_differ, weighing_of
-from station.estimation.likelihood import Weighing
+from station.estimation.fitted import Fit, weighing_of
+from station.estimation.least_squares import DIVERGED, fit
+from station.estimation.likelihood import Weighing, largest_differ
 from station.estimation.parameters import Hypothesis, Parameters, parameters
 from station.estimation.prediction import Predictor
 

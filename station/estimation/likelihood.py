@@ -54,6 +54,9 @@ NUISANCES = (0.35, 0.5)
 """Prior sigmas of a run's starting angle and accelerometer offset, counts: rounding's, and drift since it was read."""
 LEAST = np.array([1e-6, 5e-9])
 """By which runs differ where they do not: a share of the command, and of the amplifier's limit."""
+LARGEST = np.array([0.3, 0.01])
+"""Most by which runs differ: a share of the command (what the voltage of a supply that nothing regulates, a battery or
+a wall adapter, may differ by from one day to another), and of the amplifier's limit (an offset of its input)."""
 ROUNDS = 3
 """In which sizes and numbers of independent errors settle."""
 TAPER = 0.1
@@ -186,6 +189,11 @@ def nuisance_precision(data: Dataset, differ: tuple[float, float]) -> np.ndarray
 def least_differ(rig: Rig) -> np.ndarray:
     """(2) by how much runs differ that do not: a share of the command, and a constant (counts of command)."""
     return LEAST * np.array([1.0, rig.amplifier.limit])
+
+
+def largest_differ(rig: Rig) -> np.ndarray:
+    """(2) the most by which runs differ: a share of the command, and a constant (counts of command)."""
+    return LARGEST * np.array([1.0, rig.amplifier.limit])
 
 
 def differ_precision(rig: Rig, differ: tuple[float, float] | np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from station.estimation.least_squares import Fit
+from station.estimation.fitted import Fit
 from station.estimation.likelihood import Weighing
 
 WIDEST = 10.0

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import scipy.linalg
 
+from station.estimation.fitted import Fit
 from station.estimation.identifiability import HALF, NORMAL
-from station.estimation.least_squares import Fit
 from station.estimation.parameters import Parameters
 from station.fit.result import FitResult, FittedConstant, FlatDirection
 from station.model.units import powers

@@ -12,7 +12,8 @@ from scipy.optimize import minimize
 from station.diagnose.candidates import candidates
 from station.diagnose.linearised import Change, Linearised
 from station.estimation.constants import base_fit
-from station.estimation.least_squares import Fit, fit
+from station.estimation.fitted import Fit
+from station.estimation.least_squares import fit
 from station.estimation.likelihood import cost
 from station.estimation.parameters import parameters
 from station.rig import Rig

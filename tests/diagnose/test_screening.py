@@ -14,7 +14,8 @@ from station.diagnose.screening import Screened, screen
 from station.diagnose.selection import begun
 from station.estimation.cause import Key
 from station.estimation.constants import base_fit, unknown
-from station.estimation.least_squares import Fit, fit, weighing_of
+from station.estimation.fitted import Fit, weighing_of
+from station.estimation.least_squares import fit
 from station.estimation.parameters import Hypothesis, parameters
 from station.estimation.prediction import Predictor
 from station.rig import Rig

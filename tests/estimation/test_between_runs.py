@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from station.estimation.dataset import dataset
-from station.estimation.least_squares import Fit, fit, largest_differ, weighing_of
-from station.estimation.likelihood import Weighing
+from station.estimation.fitted import Fit, weighing_of
+from station.estimation.least_squares import fit
+from station.estimation.likelihood import Weighing, largest_differ
 from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
 from station.estimation.pool import Pool

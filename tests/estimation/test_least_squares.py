@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from station.estimation.dataset import dataset
-from station.estimation.least_squares import Fit, _Descent, fit, inherited, weighing_of
+from station.estimation.fitted import Fit, weighing_of
+from station.estimation.least_squares import _Descent, fit, inherited
 from station.estimation.likelihood import Weighing
 from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters

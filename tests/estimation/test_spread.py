@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from station.estimation.dataset import dataset
-from station.estimation.least_squares import Fit, fit
+from station.estimation.fitted import Fit
+from station.estimation.least_squares import fit
 from station.estimation.likelihood import Weighing
 from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
