@@ -67,8 +67,12 @@ def bought(search: Selection, best: Causes, key: Key) -> float:
 
 
 def between_runs(search: Selection, finding: Finding) -> BetweenRuns:
-    """In what runs differ; each as probable, before what is kept for something unknown, as a further cause would be."""
-    weighing = search.compared
+    """In what runs differ; each as probable, before what is kept for something unknown, as a further cause would be.
+
+    By the weighing of fits, in which what runs have of their own was found, and whole runs count: a constant torque
+    moves slowly.
+    """
+    weighing = search.weighing
     found, seen = BetweenRuns(), differences(finding.rough, weighing, resamples(search))
     own = replace(weighing, differ=(seen[0].size, seen[1].size))
     for name, one, narrowing in zip(("share", "constant"), seen, finding.rough.log_narrowing(own), strict=True):

@@ -14,6 +14,7 @@ import numpy as np
 
 from station.estimation.dataset import Dataset
 from station.estimation.fitted import Fit, Information, Point
+from station.estimation.identifiability import unseen_with_effects
 from station.estimation.likelihood import Weighing, cost, nuisance_precision
 from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor
@@ -104,7 +105,9 @@ class _Descent:
     def jacobian(self, here: Point, known: list[np.ndarray] | None = None) -> list[np.ndarray]:
         """Per run (p + c, b, n); those by constants and nuisances are taken from ``known``, if there is one.
 
-        What moves some runs alone, an encoder's zero or a motor's place in a gap, is moved in all runs at once.
+        Along what no data show (a unit of torque) they are 0: differences cancel there to their own accuracy only, and
+        of a law that bends sharply what is left would count for much where noise is small.  What moves some runs alone,
+        an encoder's zero or a motor's place in a gap, is moved in all runs at once.
         """
         p, alone = self.space.size, {k for kind in self.of_runs for _, k in kind}
         size = p + len(self.data.free)
@@ -126,6 +129,9 @@ class _Descent:
             for r, k in kind:
                 change = (predicted[r] - here.predicted[r]) * self.scale[r] / self.steps[k]
                 rows[r][k] = change if np.all(np.isfinite(change)) else 0.0
+        unseen = unseen_with_effects(self.space, here.x)
+        for row in rows if unseen.size else []:
+            row[:p] -= np.tensordot(unseen, np.tensordot(unseen.T, row[:p], 1), 1)
         return rows
 
     def normal(self, here: Point, jac: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:

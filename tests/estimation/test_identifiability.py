@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from station.estimation.dataset import dataset
-from station.estimation.identifiability import parameter_states, states, unseen
+from station.estimation.identifiability import parameter_states, states, unseen, unseen_with_effects
 from station.estimation.parameters import Hypothesis, parameters
 from station.model.effects import effect_class
-from station.rig import Rig, load_rig
+from station.rig import load_rig
 from station.runs.run import Run, RunMetadata
-from tests.truth import RIGID_AXIS
+from tests.estimation.made import AXIS, predictions, runs_of
 
-AXIS, SFLR = Rig.model_validate(RIGID_AXIS), load_rig("sflr")
+SFLR = load_rig("sflr")
 
 
 def posterior(data: np.ndarray, prior: np.ndarray) -> np.ndarray:
@@ -145,3 +145,23 @@ def test_a_torque_that_is_known_fixes_the_unit_of_torque():
     left = [unseen(parameters(dataset(AXIS.with_effects(effects), [still("one")]), Hypothesis(), {})).shape[1]
             for effects in ([], [curve], [friction])]
     assert left == [1, 1, 0]
+
+
+@pytest.mark.parametrize(("rig", "effects", "left"), [
+    (AXIS, [("torque_ripple", "motor"), ("command_bias", "amplifier")], 1),
+    (SFLR, [("coulomb_friction", "base"), ("cable_spring", "base"), ("backlash", "drive")], 2)])
+def test_effects_move_with_the_units_that_their_sizes_bear(rig, effects, left):
+    """Far along these directions no prediction moves, in any other the sensors see it."""
+    predictor = predictions(rig, [still("one")] if rig is SFLR else runs_of(rig))
+    classes = tuple((effect_class(name), at) for name, at in effects)
+    sizes = {(cls.name, at): cls.guesses(rig, at)[0] for cls, at in classes}
+    space = parameters(predictor.data, Hypothesis(classes), sizes)
+    found, own = unseen_with_effects(space, space.mean), predictor.data.own
+    assert found.shape == (space.size, left)
+    first = np.concatenate(predictor.runs(space, space.mean, own), axis=1)
+
+    def change(direction):
+        return np.abs(np.concatenate(predictor.runs(space, space.mean + 0.3 * direction, own), axis=1) - first).max()
+    assert all(change(direction) < 1e-8 for direction in found.T)
+    other = np.random.default_rng(0).normal(size=space.size)
+    assert change(other / np.linalg.norm(other)) > 0.01

@@ -9,6 +9,7 @@ import pytest
 
 from station.estimation.dataset import dataset
 from station.estimation.fitted import Fit, weighing_of
+from station.estimation.identifiability import unseen_with_effects
 from station.estimation.least_squares import _Descent, fit, inherited
 from station.estimation.likelihood import Weighing
 from station.estimation.observer import observers
@@ -20,7 +21,7 @@ from station.model.simulate import simulate
 from station.model.units import powers
 from station.rig import load_rig
 from station.runs.run import Run, RunMetadata
-from tests.estimation.made import AXIS, runs_of
+from tests.estimation.made import AXIS, predictions, runs_of
 from tests.truth import CONTROLLERS
 
 FRICTION, KEY = effect_class("coulomb_friction"), ("coulomb_friction", "motor")
@@ -72,6 +73,19 @@ def test_what_no_output_shows_carries_no_information() -> None:
         direction = np.linalg.solve(space.root, powers(space.paths, unit))
         assert np.diag(normal).max() > 1e4
         assert direction @ normal @ direction < 0.02 * (direction @ direction)
+
+
+def test_a_law_that_bends_sharply_tells_nothing_of_the_unit_of_torque() -> None:
+    """A ripple of 24 cycles per turn, exactly as it is: its size is as uncertain as the rig file's torques are."""
+    ripple, cause = effect_class("torque_ripple"), ("torque_ripple", "motor")
+    sizes = {"amplitude": TORQUE, "cycles": 24.0, "phase": 0.4}
+    predictor = predictions(AXIS, runs_of(AXIS.with_effects([ripple(at="motor", **sizes)])))
+    space = parameters(predictor.data, Hypothesis(((ripple, "motor"),)), {cause: sizes})
+    found = fit(predictor, space, Weighing(predictor.counts, 1.0), space.mean.copy(), iterations=3, to_the_end=True)
+    unseen = unseen_with_effects(space, found.x)[:, 0]
+    normal, _ = found.normal(found.weighing)
+    assert unseen @ normal @ unseen < 1e-6
+    assert np.sqrt(found.covariance[space.parts["effects"].start][space.parts["effects"].start]) > 0.05
 
 
 def block_counts_of(found: Fit) -> np.ndarray:
