@@ -11,7 +11,7 @@ from station.estimation.cause import Key
 from station.estimation.dataset import Dataset
 from station.estimation.fitted import Fit
 from station.estimation.parameters import Hypothesis, Parameters, parameters
-from station.model.effects import Effect, Stage, catalogue
+from station.model.effects import USUAL_SPEED, Effect, Stage, catalogue
 from station.rig import PROFILE, Rig
 
 
@@ -70,8 +70,8 @@ class Candidate:
         return space, space.carried(base, fit.x, {self.key: guess})
 
 
-def candidates(rig: Rig) -> list[Candidate]:
-    """All causes for this rig; what its file already holds is part of it and no cause.
+def candidates(rig: Rig, speed: float = USUAL_SPEED) -> list[Candidate]:
+    """All causes for this rig; what its file already holds is part of it and no cause.  ``speed``: of its runs, rad/s.
 
     Without a drive motor and base are one part: an effect that may stand at either is one cause, at the motor.  A
     constant that the file calls exact (uncertainty 0) is none.
@@ -83,7 +83,7 @@ def candidates(rig: Rig) -> list[Candidate]:
             if at == "base" and rig.drive is None and "motor" in cls.sites:
                 continue
             if cls.fits(rig, at) and (cls.name, at) not in held:
-                found.append(Candidate(cls, at, None, tuple(cls.guesses(rig, at))))
+                found.append(Candidate(cls, at, None, tuple(cls.guesses_at(rig, at, speed))))
     paths = list(rig.constants())
     exact = {path for path, variance in zip(paths, rig.log_covariance(paths).diagonal(), strict=True) if not variance}
     return found + [Candidate(None, "", path) for path in paths if path not in PROFILE | exact]

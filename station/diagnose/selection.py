@@ -213,7 +213,7 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
     search.weigh(parent)
     search.keep(parent)
     parent = _with_derivatives(search, search.fits[parent.key])
-    pool = candidates(predictor.data.rig)
+    pool = candidates(predictor.data.rig, predictor.data.speed)
     far = far_starts(predictor, pool, effort.finished, beginnings)
     climbed: set[Causes] = set()
     while parent.key not in climbed:
@@ -369,8 +369,9 @@ def centred(predictor: Predictor, found: Fit, complete: bool) -> tuple[Parameter
 
     rig, centres = predictor.data.rig, {}
     for cls, at in space.hypothesis.effects:
-        smaller = cls.smaller(rig, at, values[cls.name, at]) if complete else []
-        centres[cls.name, at] = min([*cls.guesses(rig, at), *smaller], key=partial(strain, (cls.name, at)))
+        usual = cls.guesses_at(rig, at, predictor.data.speed)
+        smaller = cls.smaller(usual, values[cls.name, at]) if complete else []
+        centres[cls.name, at] = min([*usual, *smaller], key=partial(strain, (cls.name, at)))
     moved = parameters(predictor.data, space.hypothesis, centres)
     return moved, moved.carried(space, found.x)
 

@@ -14,6 +14,7 @@ import numpy as np
 from station.errors import WorkError
 from station.estimation.noise import QUANTISATION, noise_of, rest_rows, rest_start, rounding_shares
 from station.estimation.observer import Observer, observers
+from station.model.effects import USUAL_SPEED
 from station.model.simulate import build, simulate_model
 from station.rig import PROFILE, Rig
 from station.runs.run import RATES, Run, RunMetadata
@@ -175,6 +176,15 @@ class Dataset:
     def rms_command(self) -> float:
         """Of all runs, counts."""
         return float(np.sqrt(np.mean(np.concatenate([run.command for run in self.runs]) ** 2)))
+
+    @cached_property
+    def speed(self) -> float:
+        """Root mean square of all runs', rad/s, over FIRST seconds each, what noise adds taken off; where nothing moves
+        beyond it USUAL_SPEED."""
+        rows = max(math.ceil(FIRST * self.rig.sample_rate), 1)
+        moved = np.concatenate([run.encoder[rows:] - run.encoder[:-rows] for run in self.runs])
+        square = float(np.mean(moved**2)) - 2.0 * self.sigma[0] ** 2
+        return math.sqrt(square) / rows * self.rig.sample_rate * self.rig.angle_per_count if square > 0 else USUAL_SPEED
 
     @property
     def sigma(self) -> np.ndarray:

@@ -10,6 +10,7 @@ import pytest
 
 from station.errors import WorkError
 from station.estimation.dataset import CLOCK_BIAS, SEGMENTS, WARM, canonical_order, dataset
+from station.model.effects import USUAL_SPEED
 from station.rig import load_rig
 from tests.cli.conftest import step_run
 from tests.estimation.made import AXIS, run_of, runs_of
@@ -114,3 +115,20 @@ def test_runs_of_which_one_lacks_the_accelerometer_are_refused() -> None:
     run = step_run()
     with pytest.raises(WorkError, match="b: no accelerometer column, but other runs have one"):
         dataset(load_rig("sflr"), [run, replace(run, name="b", accel=None)])
+
+
+@pytest.mark.parametrize("noise", [0.0, 5.0])
+def test_the_speed_of_the_runs_is_that_of_the_rig_and_not_of_the_sensors_noise(noise: float) -> None:
+    rows, rng = np.arange(2000), np.random.default_rng(1)
+    angle = 400.0 * np.sin(rows / 100.0)
+    rest = np.where(rows < 400, 0.0, angle - angle[400])
+    run = run_of(AXIS, 60.0, "open", "pulses", 4.0)
+    made = replace(run, t=rows / 500.0, reference=0.0 * rows, command=0.0 * rows,
+                   encoder=np.round(rest + noise * rng.standard_normal(rows.size)))
+    true = AXIS.angle_per_count * float(np.sqrt(np.mean(np.gradient(rest[401:]) ** 2) * 0.8)) * 500.0
+    assert dataset(AXIS, [made]).speed == pytest.approx(true, rel=0.03)
+
+
+def test_runs_that_never_move_are_taken_for_usual_ones() -> None:
+    run = run_of(AXIS, 60.0, "open", "pulses", 1.0)
+    assert dataset(AXIS, [replace(run, encoder=0.0 * run.t, command=0.0 * run.t)]).speed == USUAL_SPEED

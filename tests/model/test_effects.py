@@ -15,7 +15,7 @@ from station.diagnose.equivalences import rescaled
 from station.model import stepper
 from station.model.assembly import assemble
 from station.model.compiled import LAW, njit
-from station.model.effects import Effect, Stage, catalogue, effect_class
+from station.model.effects import USUAL_SPEED, Effect, Stage, catalogue, effect_class
 from station.model.effects.base import PICTURES, parameter
 from station.model.simulate import Model, Simulation, build, initial_state, simulate, simulate_model
 from station.model.units import dimension
@@ -557,13 +557,23 @@ def test_a_guess_made_as_small_as_what_was_found_is_as_large(rig, name):
     at = next(at for at in cls.sites if cls.fits(rig, at))
     sizes = {key: info.neutral for key, info in cls.parameters().items()
              if info.neutral is not None and math.isfinite(info.neutral)}
-    for guess in cls.guesses(rig, at):
+    usual = cls.guesses(rig, at)
+    for guess in usual:
         assert bool(sizes) == any(one == pytest.approx(cls.sized(guess, 0.01))
-                                  for one in cls.smaller(rig, at, cls.sized(guess, 0.01)))
+                                  for one in cls.smaller(usual, cls.sized(guess, 0.01)))
         assert all(0.0 < (one[key] - neutral) / (guess[key] - neutral) < 1.0 + 1e-9
-                   for one in cls.smaller(rig, at, cls.sized(guess, 0.9)) for key, neutral in sizes.items()
+                   for one in cls.smaller(usual, cls.sized(guess, 0.9)) for key, neutral in sizes.items()
                    if len(sizes) == 1)
-        assert not cls.smaller(rig, at, cls.sized(guess, 1e3))
+        assert not cls.smaller(usual, cls.sized(guess, 1e3))
+
+
+def test_guesses_of_a_speed_are_in_proportion_to_that_of_the_runs(rig):
+    cls = effect_class("stribeck_friction")
+    slow, usual = (cls.guesses_at(rig, "motor", speed) for speed in (0.01 * USUAL_SPEED, USUAL_SPEED))
+    assert usual == cls.guesses(rig, "motor")
+    assert [one["stribeck_velocity"] for one in slow] == pytest.approx([0.01 * u["stribeck_velocity"] for u in usual])
+    assert [one | {"stribeck_velocity": 0} for one in slow] == [one | {"stribeck_velocity": 0} for one in usual]
+    assert cls.guesses_at(rig, "motor", 1e-9)[0]["stribeck_velocity"] == cls.parameters()["stribeck_velocity"].low
 
 
 @pytest.mark.parametrize("cls", [cls for cls in catalogue().values() if cls.simpler], ids=lambda cls: cls.name)

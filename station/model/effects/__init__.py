@@ -20,9 +20,9 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 
 from station.errors import UsageError
-from station.model.effects.base import Effect, ParameterInfo, Stage, named
+from station.model.effects.base import USUAL_SPEED, Effect, ParameterInfo, Stage, named
 
-__all__ = ["FILES", "Effect", "ParameterInfo", "Stage", "catalogue", "effect_class", "load_effects"]
+__all__ = ["FILES", "USUAL_SPEED", "Effect", "ParameterInfo", "Stage", "catalogue", "effect_class", "load_effects"]
 
 GROUP = "station.effects"
 """Entry points of installed packages, each a module or a class of it."""

@@ -33,7 +33,7 @@ from __future__ import annotations
 import inspect
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -77,6 +77,11 @@ LAWLESS = {Stage.INPUT_DELAY, Stage.ENCODER_DELAY, Stage.ACCEL_DELAY, Stage.CLOC
 UNIT = re.compile(r"(1|(N|kg|m|s|rad|rev|counts?)(\^\d+)?)([ /](N|kg|m|s|rad|rev|counts?)(\^\d+)?)*")
 """Units as they are written: "N m s^2/rad^2", "1/rev", "1"."""
 PICTURES = {"time", "speed", "angle", "deflection", "command", "frequency", "acceleration"}
+
+
+USUAL_SPEED = 1.4
+"""At which the runs move that an effect's guesses of a speed are for, rad/s (root mean square): steps of a quarter of a
+turn in a fifth of a second, with the rest after them."""
 
 
 @dataclass(frozen=True)
@@ -176,10 +181,18 @@ class Effect(BaseModel):
         raise NotImplementedError(f"{cls.__name__}.guesses")
 
     @classmethod
-    def smaller(cls, rig: Rig, at: str, found: dict[str, float]) -> list[dict[str, float]]:
+    def guesses_at(cls, rig: Rig, at: str, speed: float) -> list[dict[str, float]]:
+        """The guesses for runs that move at ``speed`` (rad/s, root mean square): speeds are in proportion to it."""
+        known = cls.parameters()
+        factors = {name: speed / USUAL_SPEED for name, info in known.items() if info.unit == "rad/s"}
+        return [guess | {name: min(max(guess[name] * factor, known[name].low), known[name].high)
+                         for name, factor in factors.items()} for guess in cls.guesses(rig, at)]
+
+    @classmethod
+    def smaller(cls, guesses: Sequence[dict[str, float]], found: dict[str, float]) -> list[dict[str, float]]:
         """Those of the guesses that are larger than what was found, made as small."""
         sizes, smaller = cls._sizes(), []
-        for guess in cls.guesses(rig, at):
+        for guess in guesses:
             shares = [(found[name] - neutral) / (guess[name] - neutral) for name, neutral in sizes.items()]
             if shares and min(shares) > 0.0 and (share := math.prod(shares) ** (1.0 / len(shares))) < 1.0:
                 smaller.append(cls.sized(guess, share))

@@ -5,6 +5,13 @@ from typing import ClassVar
 
 from station.model.effects.base import Effect, Stage, parameter, torque_scale
 
+CYCLES = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 14.0, 16.0, 20.0, 24.0, 30.0, 36.0, 42.0, 48.0, 50.0,
+          60.0, 72.0, 84.0, 100.0, 120.0, 144.0, 168.0, 200.0)
+"""Per turn: eccentricity, poles, commutation; from 12 on also common multiples of slots and poles, by which a motor
+cogs (12 and 14: 84), and the 50 teeth of a stepping motor, four steps each."""
+SHOWN = 0.1
+"""Most cycles per count that an encoder shows: ten counts to each."""
+
 
 def torque(x, v, w, p, s, h):
     """T = a sin(cycles x + phase), N m."""
@@ -24,11 +31,11 @@ class TorqueRipple(Effect):
                "angle, encoder eccentricity leaves the acceleration alone")
 
     amplitude: float = parameter("N m", 0.0, neutral=0.0)
-    cycles: float = parameter("1/rev", 1.0, 200.0)
+    cycles: float = parameter("1/rev", 1.0, 1000.0)
     phase: float = parameter("rad", -math.pi, math.pi, periodic=True)
 
     @classmethod
     def guesses(cls, rig, at):
         return [{"amplitude": 0.05 * torque_scale(rig), "cycles": cycles, "phase": phase}
-                for cycles in (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 14.0, 16.0, 20.0, 24.0, 30.0, 36.0)
+                for cycles in CYCLES if cycles <= SHOWN * rig.encoder.counts_per_revolution
                 for phase in (0.0, 0.5 * math.pi, math.pi, -0.5 * math.pi)]
