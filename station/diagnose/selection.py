@@ -222,7 +222,8 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
         if rung > 0 and predictor.data.clock is None:
             # Beside another cause a clock is but one more way to move the constants, which no data tell from theirs.
             pool = [c for c in pool if c.effect is None or c.effect.stage is not Stage.CLOCK]
-        _climb(search, parent, [c for c in pool if c.key not in parent.key], [] if rung else far, progress)
+        further = [c for c in pool if c.key not in parent.key and not parent.space.hypothesis.holds(c.key)]
+        _climb(search, parent, further, [] if rung else far, progress)
         best = search.best()
         if not search.is_news(best, search.fits[parent.key]):
             break
@@ -280,7 +281,8 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], far: list[Star
 
     def add(start: tuple[Screened, ...], less: Key | None = None) -> None:
         label = " + ".join(one.candidate.hypothesis.label for one in start)
-        jobs.append((label, start[0].gain if less is None else -np.inf, (start, less)))
+        case = next((key for one in start for key in sorted(parent.key) if one.candidate.hypothesis.holds(key)), None)
+        jobs.append((label, start[0].gain if less is None else -np.inf, (start, less or case)))
 
     def tried(start: Start | tuple[tuple[Screened, ...], Key | None]) -> Fit | None:
         if isinstance(start, Start):
@@ -305,7 +307,9 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], far: list[Star
             begun_from[key] += 1
             add((cause,))
     for pair in pairs[: effort.pairs] if grows and not content else []:
-        if pair[0].gain > WORTH_A_FIT:
+        first, second = (one.candidate for one in pair)
+        apart = not (first.hypothesis.holds(second.key) or second.hypothesis.holds(first.key))
+        if pair[0].gain > WORTH_A_FIT and apart:
             add(pair)
     found: dict[Causes, Fit] = {}
     expected: dict[Causes, float] = {}
@@ -335,6 +339,14 @@ def leading(search: Selection, found: dict[Causes, Fit], expected: dict[Causes, 
     return sorted(found.values(), key=lambda one: (one is not best, -may_reach(one)))
 
 
+def taking_in(one: Screened, less: Key, sizes: dict[str, float]) -> Sizes:
+    """Sizes from which a cause begins in the place of another of such sizes, which are added where that is a special
+    case of its law."""
+    start, candidate = one.start[one.candidate.key], one.candidate
+    case = candidate.effect.simpler[less[0]] if candidate.effect and candidate.hypothesis.holds(less) else {}
+    return {candidate.key: start | {its: start[its] + sizes[name] for name, its in case.items()}}
+
+
 def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened], less: Key | None = None) -> Fit | None:
     """A parent's hypothesis with further causes, or with some in the place of one (``less``), a few steps from where
     screening put them; None where it is lost."""
@@ -346,7 +358,7 @@ def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened], less: Ke
     for one in start:
         hypothesis += one.candidate.hypothesis
         centres[one.candidate.key] = one.guess
-        first |= one.start
+        first |= one.start if less is None else taking_in(one, less, parent.space.values(parent.x).get(less, {}))
         own[:, 3] -= one.shared
     space = parameters(predictor.data, hypothesis, centres)
     return attempted(predictor, space, parent.weighing, space.carried(parent.space, parent.x, first), own,

@@ -77,6 +77,10 @@ class Hypothesis:
         """The causes as a set."""
         return frozenset(self.causes)
 
+    def holds(self, cause: Key) -> bool:
+        """Whether a law at the same place has this one as a special case: beside it, it adds nothing."""
+        return any(cause[0] in cls.simpler and cause[1] == at for cls, at in self.effects)
+
     def __add__(self, other: Hypothesis) -> Hypothesis:
         return Hypothesis(self.effects + other.effects, self.constants + other.constants)
 

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from station.diagnose.selection import EFFORTS, Selection, _finish, _look_back, leading
+from station.diagnose.candidates import candidates
+from station.diagnose.screening import Screened
+from station.diagnose.selection import EFFORTS, Selection, _finish, _look_back, leading, taking_in
 from station.diagnose.thresholds import LOG_PRIOR, LOG_PRIOR_PARAMETER
 from station.estimation.dataset import CLOCK_BIAS
 from station.estimation.least_squares import fit
@@ -184,3 +186,18 @@ def test_a_best_set_that_ended_elsewhere_is_looked_back_upon_before_it_is_told()
         assert (frozenset({coulomb}) in search.fits) != seen
         if not seen:
             assert search.best().key == {coulomb}
+
+
+def test_beside_a_law_its_special_case_is_no_cause_and_the_law_takes_it_in() -> None:
+    """Stribeck friction where Coulomb friction is holds it: begun in its place, with its torque on top."""
+    stribeck, coulomb, at_base = Hypothesis((STRIBECK,)), Hypothesis((FRICTION,)), Hypothesis(((STRIBECK[0], "base"),))
+    less = coulomb.causes[0]
+    assert stribeck.holds(less) and not coulomb.holds(stribeck.causes[0])
+    assert not at_base.holds(less) and not stribeck.holds(stribeck.causes[0])
+    cause = next(c for c in candidates(AXIS) if c.key == stribeck.causes[0])
+    guess = {"static_torque": 0.03, "coulomb_torque": 0.01, "stribeck_velocity": 1.0}
+    begin = taking_in(Screened(cause, guess, 10.0, 1.0, 10.0), less, {"torque": 0.02})
+    assert begin == {cause.key: guess | {"coulomb_torque": pytest.approx(0.03)}}
+    drag = next(c for c in candidates(AXIS) if c.key[0] == "quadratic_drag")
+    other = Screened(drag, drag.guesses[0], 10.0, 1.0, 10.0)
+    assert taking_in(other, less, {"torque": 0.02}) == other.start
