@@ -18,7 +18,7 @@ from station.diagnose.verdict import Stated, stated
 from station.estimation.cause import Causes, Key
 from station.estimation.constants import refined
 from station.estimation.fitted import Fit
-from station.estimation.spread import differences
+from station.estimation.spread import differences, shared
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,15 +69,17 @@ def bought(search: Selection, best: Causes, key: Key) -> float:
 def between_runs(search: Selection, finding: Finding) -> BetweenRuns:
     """In what runs differ; each as probable, before what is kept for something unknown, as a further cause would be.
 
-    By the weighing of fits, in which what runs have of their own was found, and whole runs count: a constant torque
-    moves slowly.
+    What they share is no difference between them.  By the weighing of fits, in which what runs have of their own was
+    found, and whole runs count: a constant torque moves slowly.
     """
     weighing = search.weighing
     found, seen = BetweenRuns(), differences(finding.rough, weighing, resamples(search))
     own = replace(weighing, differ=(seen[0].size, seen[1].size))
-    for name, one, narrowing in zip(("share", "constant"), seen, finding.rough.log_narrowing(own), strict=True):
+    moved = finding.rough.own[:, 2:]
+    for name, one, narrowing, of in zip(("share", "constant"), seen, finding.rough.log_narrowing(own), moved.T,
+                                        strict=True):
         stability = float(np.mean(2.0 * one.log_odds > VARIES))
-        if one.gained > VARIES and stability >= STABLE:
+        if one.gained > VARIES and stability >= STABLE and shared(of) < VARIES:
             setattr(found, name, one.size)
             found.probability[name] = (1.0 - finding.outside) * float(
                 np.mean(expit(one.log_odds[-RESAMPLES:] + narrowing + LOG_PRIOR)))

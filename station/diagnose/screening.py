@@ -26,6 +26,7 @@ from station.estimation.fitted import Fit
 from station.estimation.least_squares import DIVERGED
 from station.estimation.parameters import parameters
 from station.estimation.prediction import Predictor
+from station.estimation.spread import shared
 from station.model.effects import Stage
 
 LINEAR = 3.0
@@ -142,14 +143,12 @@ def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
 def _shared(parent: Fit, pool: Sequence[Candidate]) -> list[Screened]:
     """A bias that all runs share, where the parent let every run have its own.
 
-    R constants a_r, normal about a mean m instead of about 0, are more likely by 2 ln L = R ln(sum a^2/sum (a - m)^2),
-    each by its own most likely spread.  From the predictions this is not seen: they stay as they are.
+    From the predictions this is not seen: they stay as they are.
     """
     constants = parent.own[:, 3]
-    mean, spread = float(np.mean(constants)), float(np.var(constants))
-    if len(constants) < SEVERAL or spread <= 0.0:
+    mean, gain = float(np.mean(constants)), shared(constants)
+    if len(constants) < SEVERAL or not math.isfinite(gain):
         return []
-    gain = len(constants) * math.log1p(mean * mean / spread)
     return [Screened(c, {"offset": mean}, gain, 1.0, 0.0, mean) for c in pool if c.key == BIAS]
 
 

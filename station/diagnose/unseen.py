@@ -12,6 +12,7 @@ from station.diagnose.validation import (
     contradicted,
     leave_each_out,
     log_densities,
+    missed_by_more,
     nominal,
     predicted_ahead,
     relief,
@@ -58,8 +59,10 @@ def unseen(search: Selection, finding: Finding) -> Unseen:
     gains = densities[causes] - densities[frozenset()]
     relieved = (relief(alone, said) + search.clock_score(finding.fit.space.hypothesis)
                 - search.clock_score(nothing.space.hypothesis))
-    against = contradicted(gains, relieved)
-    holding = alone if against and not finding.left.is_noise else said
-    after = refit if holding is alone else simulate_unseen(predictor, holding)
-    return Unseen(holding, densities, gains, relieved, (simulate_unseen(predictor, unfitted), refit, after),
+    before, after = (simulate_unseen(predictor, fits) for fits in (unfitted, said))
+    against = contradicted(gains, relieved) or missed_by_more(predictor.data, before, after)
+    holding = said
+    if against and not finding.left.is_noise:
+        holding, after = alone, refit
+    return Unseen(holding, densities, gains, relieved, (before, refit, after),
                   (predicted_ahead(predictor, unfitted), predicted_ahead(predictor, holding)), against)

@@ -213,6 +213,15 @@ def contradicted(gains: np.ndarray, relieved: float) -> bool:
     return not float(gains.sum()) + relieved >= UNSEEN * standard_error(gains)     # what is no number does not help
 
 
+def missed_by_more(data: Dataset, before: Sequence[Simulation], after: Sequence[Simulation]) -> bool:
+    """Whether simulations miss the angles of all runs together by more than those before did: a rig that goes further
+    astray than its file does is no better, however well it predicts a little ahead."""
+    def squares(made: Sequence[Simulation]) -> float:
+        return sum(float(np.sum((record.measured[0] - one.encoder)[record.window] ** 2))
+                   for record, one in zip(data.records, made, strict=True))
+    return not squares(after) <= squares(before)       # what is no number is no better
+
+
 def gain(data: Dataset, comparisons: Sequence[RunComparison], after: Sequence[Simulation],
          ahead: tuple[Sequence[dict[str, float]], Sequence[dict[str, float]]]) -> Gain:
     """The diagnosis file's gain: nrmse over all held-out runs and the share of the explainable error removed.

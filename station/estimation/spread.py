@@ -16,6 +16,7 @@ value.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,6 +69,15 @@ def between_runs(found: Fit, direction: np.ndarray) -> Spread:
     size = float(np.exp(best.x))
     loosened = shared - coupled.T @ (coupled / (own + size**-2)[:, None])
     return Spread(size, -float(best.fun), np.linalg.inv(loosened))
+
+
+def shared(of: np.ndarray) -> float:
+    """2 ln of the likelihood ratio by which values of R runs (R) have a mean of their own instead of 0.
+
+    Normal about either, by the most likely spread: R ln(sum a^2/sum (a - m)^2).
+    """
+    spread = float(np.var(of))
+    return len(of) * math.log1p(float(np.mean(of)) ** 2 / spread) if spread > 0.0 else math.inf
 
 
 @dataclass(frozen=True)
