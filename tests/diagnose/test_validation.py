@@ -14,6 +14,7 @@ from station.diagnose.validation import (
     contradicted,
     leave_each_out,
     log_density,
+    missed_by_more,
     relief,
     seconds_ahead,
     unseen_gain,
@@ -136,3 +137,15 @@ def test_a_loop_that_cannot_be_closed_again_is_predicted_half_a_second_ahead(kin
                                                                              ) -> None:
     run = SimpleNamespace(metadata=SimpleNamespace(controller={"kind": kind}), open_loop=kind == "open")
     assert seconds_ahead(SimpleNamespace(runs=[run], records=[SimpleNamespace(warm=warm)]), 0) == ahead
+
+
+@pytest.mark.parametrize(("before", "after", "is_worse"), [(2.0, 1.0, False), (1.0, 1.0, False), (1.0, 2.0, True),
+                                                           (1.0, np.nan, True), (1.0, np.inf, True)])
+def test_a_rig_that_goes_further_astray_than_its_file_is_no_better(before: float, after: float, is_worse: bool) -> None:
+    """By the rows that count alone."""
+    rows = np.arange(10)
+    record = SimpleNamespace(measured=[np.zeros(10)], window=rows > 0)
+
+    def away(size: float) -> list[SimpleNamespace]:
+        return [SimpleNamespace(encoder=np.where(rows > 0, size, 1e9 if size == after else 0.0))] * 2
+    assert missed_by_more(SimpleNamespace(records=[record] * 2), away(before), away(after)) == is_worse

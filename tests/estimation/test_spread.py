@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from station.estimation.dataset import dataset
 from station.estimation.fitted import Fit
@@ -15,7 +16,7 @@ from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
 from station.estimation.pool import Pool
 from station.estimation.prediction import Predictor
-from station.estimation.spread import Spread, between_runs
+from station.estimation.spread import Spread, between_runs, shared
 from station.model.effects import effect_class
 from tests.estimation.made import AXIS, run_of
 
@@ -75,3 +76,14 @@ def test_friction_that_differs_shows_as_a_share_of_its_size() -> None:
     _, friction, _ = spreads(fitted([3.0] * 6, list(USUAL * shares)))
     assert friction.gained > VARIES
     assert friction.size == pytest.approx(shares.std(ddof=1), rel=0.6)
+
+
+def test_what_runs_share_is_more_likely_by_a_mean_of_its_own() -> None:
+    """The ratio of two normal likelihoods, each with its own most likely spread."""
+    values = np.array([-0.75, -0.8, -0.77, -0.76, -0.78])
+
+    def log_likelihood(mean: float) -> float:
+        spread = float(np.sqrt(np.mean((values - mean) ** 2)))
+        return float(norm.logpdf(values, mean, spread).sum())
+    assert shared(values) == pytest.approx(2.0 * (log_likelihood(values.mean()) - log_likelihood(0.0)))
+    assert shared(values - values.mean()) == pytest.approx(0.0) and shared(np.ones(3)) == np.inf
