@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from station.cli.options import Json, Out, Overwrite, RunFile, RunFiles, command, load_runs, need_outputs, rig_of
+from station.cli.options import (
+    Json,
+    Out,
+    Overwrite,
+    RunFile,
+    RunFiles,
+    command,
+    load_runs,
+    need_outputs,
+    rig_of,
+    tell_lacks,
+)
 from station.cli.terminal import as_json, console, number, one_line, row, say, table
 from station.cli.terminal import note as note_
 from station.errors import UsageError
@@ -36,6 +47,7 @@ def import_(
     need_outputs(out, json, overwrite=overwrite, inputs=[run, rig])
     described = load_rig(rig).model_dump(exclude_none=True) if rig else None
     done = import_run(run, out, overwrite=overwrite, rig=described, zero_id=zero_id)
+    tell_lacks(run, done)
     _tell(json, out, done, run)
 
 
@@ -46,6 +58,7 @@ def export(run: RunFile, out: Out, json: Json = None, overwrite: Overwrite = Fal
 
     need_outputs(out, json, overwrite=overwrite, inputs=[run])
     done = load_run(run)
+    tell_lacks(run, done)
     export_run(done, out, overwrite)
     _tell(json, out, done, run)
 
@@ -96,7 +109,7 @@ def runs(
         if item.metadata is None:
             row(shown, item.path.name, *[""] * 7, one_line(item.problem, 200))
             continue
-        remarks = "; ".join(filter(None, [item.state and f"ended early: {item.state}", *item.notes]))
+        remarks = "; ".join(filter(None, [item.state and f"ended early: {item.state}", item.read_as, *item.notes]))
         row(shown, item.path.name, item.metadata.test.get("kind", "-"), item.metadata.controller.get("kind", "-"),
             item.rig or "-", item.began[:16].replace("T", " ") or "-", number(item.duration, 4),
             number(item.sample_rate, 4), ", ".join(item.tags), one_line(remarks, 120))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from station.cli.files import written
-from station.cli.options import Json, Out, Overwrite, RigName, RunFiles, command, load_runs, need_outputs
+from station.cli.options import Json, Out, Overwrite, RigName, RunFiles, command, load_runs, need_outputs, tell_lacks
 from station.cli.terminal import as_json, console, number, progress, row, say, table, write_text
 from station.errors import UsageError
 
@@ -32,6 +32,7 @@ def simulate(rig: RigName, like: Annotated[Path, typer.Option("--like", metavar=
 
     model = load_rig(rig)
     run = load_run(like)
+    tell_lacks(like, run)
     need_outputs(out, json, overwrite=overwrite, inputs=[like, rig])
     made = simulated(model, run, name=out.stem)
     export_run(made, out, overwrite=overwrite)
@@ -118,6 +119,8 @@ def bode(
     if out.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise UsageError(f"--out {out}: a figure's name ends in .png, .svg or .pdf")
     model, log = load_rig(rig), None if run is None else load_run(run)
+    if run is not None and log is not None:
+        tell_lacks(run, log)
     bode_figure(model, log).savefig(out)
     if json is not None:
         found, measured, _ = responses(model, log)

@@ -46,12 +46,19 @@ def load_runs(paths: list[Path]) -> list[Run]:
 
     runs = load(paths)
     for path, run in zip(paths, runs, strict=True):
-        early = run.metadata.entries().get("cut_short")
-        if early:
-            note(f"{path}: the log ends early ({early}); the {len(run)} rows that it has are used")
-        if run.lost_samples:
-            note(f"{path}: {run.lost_samples} samples are missing; simulations run on through the gaps")
+        tell_lacks(path, run)
     return runs
+
+
+def tell_lacks(path: Path, run: Run) -> None:
+    """Say on standard error what a log lacks, and what reading made of it."""
+    early = run.metadata.entries().get("cut_short")
+    if early:
+        note(f"{path}: the log ends early ({early}); the {len(run)} rows that it has are used")
+    if run.read_as:
+        note(f"{path}: {run.read_as}")
+    if run.lost_samples:
+        note(f"{path}: {run.lost_samples} samples are missing; simulations run on through the gaps")
 
 
 def rig_of(run: Run, path: Path) -> Rig:

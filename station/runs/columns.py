@@ -40,6 +40,8 @@ COLUMNS = (
 )
 BY_NAME = {column.name: column for column in COLUMNS}
 REQUIRED = tuple(column.name for column in COLUMNS if column.required)
+OFF_TICK = 0.02
+"""Share of a period by which a time may be off its tick."""
 # The order of a row in the live log and the field numbers 1, 2, ... of its message: never reordered.
 LOG_COLUMNS = ("n", "t", "reference", "command", "encoder", "accel", "device_time", "host_time", "status",
                "command_sent", "latency", "slack")
@@ -76,6 +78,13 @@ def as_columns(columns: Mapping[str, object], first_line: int | None = None,
 
     ``first_line``: that of row 0, where the columns come from lines of text.
     """
+    arrays, fault = as_arrays(columns, first_line)
+    return arrays, fault or time_fault(arrays["t"], arrays.get("n"), first_line)
+
+
+def as_arrays(columns: Mapping[str, object], first_line: int | None = None,
+              ) -> tuple[dict[str, np.ndarray], str | None]:
+    """The same, but that the times are not looked at."""
     fault = name_fault(columns)
     if fault:
         return {}, fault
@@ -109,7 +118,7 @@ def as_columns(columns: Mapping[str, object], first_line: int | None = None,
                 row = int(np.argmax(bad))
                 return {}, f"column {name}, {place(row, first_line)}: {array[row]} where a whole number is wanted"
             arrays[name] = array.astype(np.int64)
-    return arrays, time_fault(arrays["t"], arrays.get("n"), first_line)
+    return arrays, None
 
 
 def time_fault(t: np.ndarray, n: np.ndarray | None, first_line: int | None = None) -> str | None:
@@ -122,9 +131,11 @@ def time_fault(t: np.ndarray, n: np.ndarray | None, first_line: int | None = Non
     period = (t[-1] - t[0]) / index[-1]
     if period <= 0.0:
         return "column t: time does not rise"
-    if np.any(np.abs(t - t[0] - index * period) > 0.02 * period):
+    if np.any(np.abs(t - t[0] - index * period) > OFF_TICK * period):
         pace = np.diff(t) / steps
         row = int(np.argmax(np.abs(pace - np.median(pace)))) + 1
-        return f"column t, {place(row, first_line)}: irregular time ({t[row]:.9g} s after {t[row - 1]:.9g} s); " \
-               "t must be index / sample_rate"
+        found = f"irregular time ({t[row]:.9g} s after {t[row - 1]:.9g} s, {np.median(pace):.6g} s is usual)"
+        remedy = ("add a column n with each row's tick, or resample the log" if n is None else
+                  "write t as n / sample_rate, or resample the log")
+        return f"column t, {place(row, first_line)}: {found}; t must be index / sample_rate: {remedy}"
     return None

@@ -11,6 +11,7 @@ import numpy as np
 
 from station.errors import WorkError
 from station.runs.files import new_file
+from station.runs.foreign import run_from
 from station.runs.run import Run, RunMetadata, parse_json
 from station.runs.table import read_table
 
@@ -32,7 +33,7 @@ def read_csv(path: str | os.PathLike[str]) -> Run:
         entries[key] = parse_json(f"{path}: line {number}: {key}", text)
     metadata = RunMetadata.from_entries(str(path), entries)
     columns = dict(zip(table.names, table.values.T, strict=True))
-    return Run.from_columns(str(path), path.stem, columns, metadata, table.first_line)
+    return run_from(str(path), path.stem, columns, metadata, table.first_line)
 
 
 def write_csv(run: Run, path: str | os.PathLike[str], overwrite: bool = False) -> None:

@@ -13,6 +13,7 @@ import scipy.io
 from station.errors import WorkError
 from station.runs.columns import MAX_ROWS, name_fault
 from station.runs.files import check_input, new_file, reason
+from station.runs.foreign import run_from
 from station.runs.run import Run, RunMetadata
 
 _NUMERIC = {"double", "single", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"}
@@ -40,7 +41,7 @@ def read_mat(path: str | os.PathLike[str]) -> Run:
         raise WorkError(f"{label}: not a readable MATLAB 5 file ({reason(error)[:120]})") from None
     columns = {name: np.ravel(values[name]) for name in found if name != "metadata"}
     metadata = RunMetadata.from_json(label, str(values["metadata"][0])) if "metadata" in found else RunMetadata()
-    return Run.from_columns(label, path.stem, columns, metadata)
+    return run_from(label, path.stem, columns, metadata)
 
 
 def _check_variable(label: str, name: str, shape: tuple[int, ...], kind: str) -> None:

@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 from station.errors import WorkError
 from station.runs.columns import MAX_ROWS, name_fault
 from station.runs.files import check_input, new_file
+from station.runs.foreign import run_from
 from station.runs.run import Run, RunMetadata
 
 KEY = b"station"
@@ -39,8 +40,7 @@ def read_parquet(path: str | os.PathLike[str]) -> Run:
             raise WorkError(f"{path}: column {name}: {column.null_count} values are missing")
     columns = {name: column.to_numpy() for name, column in zip(table.column_names, table.columns, strict=True)}
     label = str(path)
-    return Run.from_columns(label, path.stem, columns,
-                            RunMetadata.from_json(label, metadata.decode("utf-8", "replace")))
+    return run_from(label, path.stem, columns, RunMetadata.from_json(label, metadata.decode("utf-8", "replace")))
 
 
 def write_parquet(run: Run, path: str | os.PathLike[str], overwrite: bool = False) -> None:

@@ -18,6 +18,8 @@ from station.runs.columns import COLUMNS, as_columns
 MAX_METADATA_BYTES = 1 << 20
 LOST = "lost"
 """Extra column of a filled run: 1 where the log has no such row."""
+READ_AS = "read_as"
+"""Key of the metadata: what reading made of a log that does not quite have the form of a run, for people."""
 BETWEEN = frozenset({"t", "encoder", "accel", "device_time", "host_time"})
 """Columns of which a lost row lies between its neighbours; the others keep what was logged last."""
 SENT = frozenset({"command", "reference"})
@@ -183,6 +185,11 @@ class Run:
         return self.metadata.start
 
     @property
+    def read_as(self) -> str:
+        """What reading made of the log, for people; empty where it was taken as it stands."""
+        return str(self.metadata.entries().get(READ_AS) or "")
+
+    @property
     def open_loop(self) -> bool:
         """Whether no loop was closed: the log says so, or names no controller and its commands are its reference."""
         kind = self.metadata.controller.get("kind")
@@ -204,7 +211,7 @@ class Run:
         known = self.metadata
         head = markup.table(("run", "test", "controller", "rows", "Hz", "lost"), [
             (self.name, known.test.get("kind", "-"), known.controller.get("kind", "-"), len(self),
-             f"{self.sample_rate:g}", self.lost_samples)])
+             f"{self.sample_rate:g}", self.lost_samples)], self.read_as)
         angle = {"encoder": self.encoder} if self.open_loop else {"reference": self.reference, "encoder": self.encoder}
         plots = [markup.legend(angle), markup.plot(self.t, angle, f"{self.name}, counts")]
         if self.accel is not None:

@@ -20,7 +20,7 @@ from station.runs.lab_log import read_lab_log
 from station.runs.mcap_log import write_mcap
 from station.runs.mcap_read import read_mcap, scan_mcap
 from station.runs.notes import notes_of, tags_of
-from station.runs.run import Run, RunMetadata
+from station.runs.run import READ_AS, Run, RunMetadata
 from station.runs.table import first_line
 
 _SNIFF_BYTES = 65536
@@ -217,6 +217,11 @@ class RunSummary:
     def began(self) -> str:
         """When it was made (UTC, ISO 8601); empty where the run does not say."""
         return str(self.metadata.entries().get("began") or "") if self.metadata is not None else ""
+
+    @property
+    def read_as(self) -> str:
+        """As ``Run.read_as``."""
+        return str(self.metadata.entries().get(READ_AS) or "") if self.metadata is not None else ""
 
     @property
     def state(self) -> str:

@@ -116,6 +116,19 @@ def test_a_log_that_ends_early_or_has_gaps_says_so_wherever_it_is_used(station, 
     assert "gappy.csv: 2 samples are missing" in station("compare", "--rig", "sflr", gappy).err
 
 
+def test_what_reading_made_of_the_times_is_told_wherever_the_log_is_used(station, tmp_path):
+    log, kept, rows = tmp_path / "stamped.csv", tmp_path / "kept.mcap", range(200)
+    log.write_text(_csv([f"{(i + 0.1 * (i % 7 - 3)) / 500.0:.6f},0,0,0,0" for i in rows]))
+    for command in (["import", "--out", kept], ["export", "--out", tmp_path / "a.csv"],
+                    ["simulate", "--rig", "sflr", "--out", tmp_path / "b.csv", "--like"]):
+        assert "stamped.csv: the times jitter by up to 3" in station(*command, log).err
+    assert "kept.mcap: the times jitter" in station("compare", "--rig", "sflr", kept).err
+    assert "the times jitter" in station("runs", tmp_path).out
+    log.write_text(_csv([f"{i / 500.0:.6f},0,0,0,0" for i in rows if i != 40]))
+    told = station("import", log, "--out", kept, "--overwrite").err
+    assert "by the times 1 rows are missing, the first before line 42" in told and "1 samples are missing" in told
+
+
 @pytest.mark.parametrize("fault", RUN_FAULTS)
 def test_a_log_with(station, tmp_path, fault):
     log = tmp_path / "bad.csv"
