@@ -17,6 +17,8 @@ from station.estimation.observer import Observer, observers
 from station.model.effects import USUAL_SPEED
 from station.model.simulate import build, simulate_model
 from station.rig import PROFILE, Rig
+from station.runs.columns import place
+from station.runs.rollover import rollover, rollover_fault
 from station.runs.run import RATES, Run, RunMetadata
 
 SEGMENT = 1.0
@@ -226,8 +228,11 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
     """Prepare runs, their gaps filled; ``windows``: the rows of each run that count (by default all that were logged).
 
     Of a log that is given twice, for two parts of it, noise and clock are read once.
-    WorkError: a run's rate is not the rig's, or some runs hold the accelerometer and this one does not.
+    WorkError: a run's rate is not the rig's, its encoder rolls over, or some runs hold the accelerometer and this one
+    does not.
     """
+    for run in runs:
+        _refuse_rollover(rig, run)
     runs = [run.filled(rig.sample_rate) for run in runs]
     tests = tests_of(runs)
     has_accel = rig.accelerometer is not None and any(run.accel is not None for run in runs)
@@ -251,6 +256,13 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
         in zip(runs, windows or [slice(None)] * len(runs), zero_ids, np.cumsum(parts) - parts, parts, strict=True))
     return Dataset(meshed, records, noise=noise.sigmas, noise_freedoms=noise.freedoms, clock=clock_evidence(tests),
                    segment_run=np.repeat(np.arange(len(runs)), parts))
+
+
+def _refuse_rollover(rig: Rig, run: Run) -> None:
+    """WorkError where a run's counter rolls over: which count the loop went by only its maker knows."""
+    rolled = rollover(run.encoder, rig.encoder.counts_per_revolution)
+    if rolled:
+        raise WorkError(f"{run.name}: {rollover_fault(run.encoder, rolled, place(rolled[0]))}")
 
 
 def _record(rig: Rig, run: Run, window: slice, noise: Sequence[float], zero_group: int, segment: np.ndarray) -> Record:

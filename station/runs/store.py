@@ -20,6 +20,7 @@ from station.runs.lab_log import read_lab_log
 from station.runs.mcap_log import write_mcap
 from station.runs.mcap_read import read_mcap, scan_mcap
 from station.runs.notes import notes_of, tags_of
+from station.runs.rollover import rollover, rollover_fault
 from station.runs.run import READ_AS, Run, RunMetadata
 from station.runs.table import first_line
 
@@ -115,7 +116,7 @@ def import_run(source: str | os.PathLike[str], out: str | os.PathLike[str], *, o
                **known: Any) -> Run:
     """Read a run and write it anew (``.mcap`` as a rule); ``known`` sets metadata the source does not hold.
 
-    WorkError as ``load_run``, and where the encoder reads what no encoder counts to.
+    WorkError as ``load_run``, and where the encoder reads what no encoder counts to, or rolls over.
     """
     run = load_run(source)
     far = np.abs(run.encoder) > MOST_COUNTS
@@ -123,6 +124,9 @@ def import_run(source: str | os.PathLike[str], out: str | os.PathLike[str], *, o
         row = int(np.argmax(far))
         raise WorkError(f"{source}: column encoder, {_place(Path(source), row)}: {run.encoder[row]:g} counts; no arm "
                         "turns so far")
+    rolled = rollover(run.encoder)
+    if rolled:
+        raise WorkError(f"{source}: {rollover_fault(run.encoder, rolled, _place(Path(source), rolled[0]))}")
     entries = run.metadata.entries() | {key: value for key, value in known.items() if value is not None}
     imported = Run.from_columns(str(source), Path(out).stem, run.columns(),
                                 RunMetadata.from_entries(str(source), entries))
