@@ -8,8 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from station.errors import printable
+
 MAX_ROWS = 10_000_000
 MAX_EXTRA_COLUMNS = 64
+SHOWN = 120
+"""Letters of the column names found that a message shows."""
 
 
 @dataclass(frozen=True)
@@ -49,22 +53,39 @@ LOG_COLUMNS = ("n", "t", "reference", "command", "encoder", "accel", "device_tim
 _EXTRA_NAME = re.compile(r"[a-z][a-z0-9_]{0,30}\Z")
 
 
-def name_fault(names: Iterable[str]) -> str | None:
+def own_names(names: Iterable[str]) -> list[str]:
+    """A file's column names, those of a run as they stand here: in any case, with blanks around, they are meant."""
+    return [known if (known := name.strip().lower()) in BY_NAME else name for name in names]
+
+
+def name_fault(names: Iterable[str], required: Iterable[str] = REQUIRED) -> str | None:
     """Say what is wrong with a file's column names, or None."""
     names = list(names)
     repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
         return f"column {repeated[0]!r} stands twice"
-    missing = [name for name in REQUIRED if name not in names]
+    missing = [name for name in required if name not in names]
     if missing:
-        return f"column {missing[0]} is missing; a run needs {', '.join(REQUIRED)}"
+        return _missing(missing[0], names)
     extra = [name for name in names if name not in BY_NAME]
     if len(extra) > MAX_EXTRA_COLUMNS:
         return f"{len(extra)} columns beyond those of a run, at most {MAX_EXTRA_COLUMNS}"
     for name in extra:
         if not _EXTRA_NAME.match(name) or name == "metadata":
-            return f"column name {name[:40]!r}: a-z, 0-9 and _ alone, at most 31 letters, beginning with a-z"
+            return (f"column name {name[:40]!r}: a-z, 0-9 and _ alone, at most 31 letters, beginning with a-z; rename "
+                    "it or leave it out")
     return None
+
+
+def _missing(name: str, names: list[str]) -> str:
+    found = printable(", ".join(names))
+    found = found if len(found) <= SHOWN else found[:SHOWN] + " ..."
+    said = (f"column {name} is missing; wanted are {', '.join(REQUIRED)}, found are {found}; a CSV's header line reads "
+            f"{','.join(REQUIRED)}")
+    if name != "reference":
+        return said
+    return (f'{said}; where no loop was closed, the metadata controller = {{"kind": "open"}} (of a CSV the line # '
+            'controller = {"kind": "open"}) make the command the reference')
 
 
 def place(row: int, first_line: int | None = None) -> str:

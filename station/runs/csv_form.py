@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from station.errors import WorkError
+from station.runs.columns import own_names
 from station.runs.files import new_file
 from station.runs.foreign import run_from
 from station.runs.run import Run, RunMetadata, parse_json
@@ -32,7 +33,11 @@ def read_csv(path: str | os.PathLike[str]) -> Run:
             raise WorkError(f"{path}: line {number}: the key {key} stands twice")
         entries[key] = parse_json(f"{path}: line {number}: {key}", text)
     metadata = RunMetadata.from_entries(str(path), entries)
-    columns = dict(zip(table.names, table.values.T, strict=True))
+    names = own_names(table.names)
+    repeated = next((name for name in names if names.count(name) > 1), None)
+    if repeated is not None:
+        raise WorkError(f"{path}: the column {repeated[:40]!r} stands twice")
+    columns = dict(zip(names, table.values.T, strict=True))
     return run_from(str(path), path.stem, columns, metadata, table.first_line)
 
 

@@ -5,18 +5,22 @@ from __future__ import annotations
 import os
 import struct
 import zlib
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
 import scipy.io
 
-from station.errors import WorkError
-from station.runs.columns import MAX_ROWS, name_fault
+from station.errors import WorkError, printable
+from station.runs.columns import MAX_ROWS, REQUIRED, name_fault, own_names
 from station.runs.files import check_input, new_file, reason
-from station.runs.foreign import run_from
+from station.runs.foreign import BEFOREHAND, run_from
 from station.runs.run import Run, RunMetadata
 
 _NUMERIC = {"double", "single", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64"}
+METADATA = "metadata"
+SHORT, MOST = 20, 8
+"""Letters of a name, and names, that a message shows."""
 _HEADER_BYTES = 128
 _COMPRESSED = 15
 _MAX_VARIABLE_BYTES = 8 * MAX_ROWS + 4096
@@ -29,9 +33,10 @@ def read_mat(path: str | os.PathLike[str]) -> Run:
     try:
         _check_sizes(path)
         found = {name: (shape, kind) for name, shape, kind in scipy.io.whosmat(path)}
-        for name, (shape, kind) in found.items():
-            _check_variable(label, name, shape, kind)
-        fault = name_fault(name for name in found if name != "metadata")
+        for name in found:
+            _check_variable(label, name, found)
+        names = dict(zip(found, own_names(found), strict=True))
+        fault = name_fault((name for name in names.values() if name != METADATA), BEFOREHAND)
         if fault:
             raise WorkError(f"{label}: {fault}")
         values = scipy.io.loadmat(path, variable_names=list(found), chars_as_strings=True)
@@ -39,19 +44,29 @@ def read_mat(path: str | os.PathLike[str]) -> Run:
         raise
     except Exception as error:  # scipy's reader raises whatever its parts raise on a damaged file
         raise WorkError(f"{label}: not a readable MATLAB 5 file ({reason(error)[:120]})") from None
-    columns = {name: np.ravel(values[name]) for name in found if name != "metadata"}
-    metadata = RunMetadata.from_json(label, str(values["metadata"][0])) if "metadata" in found else RunMetadata()
+    columns = {name: np.ravel(values[variable]) for variable, name in names.items() if name != METADATA}
+    metadata = RunMetadata.from_json(label, str(values[METADATA][0])) if METADATA in found else RunMetadata()
     return run_from(label, path.stem, columns, metadata)
 
 
-def _check_variable(label: str, name: str, shape: tuple[int, ...], kind: str) -> None:
-    if name == "metadata":
+def _check_variable(label: str, name: str, found: Mapping[str, tuple[tuple[int, ...], str]]) -> None:
+    shape, kind = found[name]
+    if name == METADATA:
         if kind != "char" or shape != (1,):
             raise WorkError(f"{label}: metadata: one line of text is wanted")
     elif kind not in _NUMERIC:
-        raise WorkError(f"{label}: variable {name[:40]!r} is a {kind}; a run holds numbers alone")
+        unpack = f"; save('run.mat', '-struct', {name[:40]!r}, '-v7') writes its fields as variables"
+        raise WorkError(f"{label}: variable {name[:40]!r} is a {kind}; {_wanted(found)}"
+                        f"{unpack if kind == 'struct' else ''}")
     elif len(shape) != 2 or min(shape) != 1 or max(shape) > MAX_ROWS:
-        raise WorkError(f"{label}: variable {name[:40]!r}: one column of at most {MAX_ROWS} numbers is wanted")
+        raise WorkError(f"{label}: variable {name[:40]!r}: one column of at most {MAX_ROWS} numbers is wanted, not "
+                        f"{'x'.join(map(str, shape))}; {_wanted(found)}")
+
+
+def _wanted(found: Iterable[str]) -> str:
+    """Which variables a file must hold, and which it does."""
+    return (f"wanted are the variables {', '.join(REQUIRED)}, each one column of numbers, found are "
+            f"{printable(', '.join(name[:SHORT] for name in list(found)[:MOST]))}")
 
 
 def _check_sizes(path: Path) -> None:
@@ -79,5 +94,5 @@ def _check_sizes(path: Path) -> None:
 def write_mat(run: Run, path: str | os.PathLike[str], overwrite: bool = False) -> None:
     """Write a run; numbers are kept bit by bit, columns stand upright."""
     with new_file(Path(path), overwrite) as part, part.open("wb") as file:
-        scipy.io.savemat(file, {**run.columns(), "metadata": run.metadata.to_json()},
+        scipy.io.savemat(file, {**run.columns(), METADATA: run.metadata.to_json()},
                          do_compression=True, oned_as="column")

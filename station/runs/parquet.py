@@ -9,9 +9,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from station.errors import WorkError
-from station.runs.columns import MAX_ROWS, name_fault
+from station.runs.columns import MAX_ROWS, name_fault, own_names
 from station.runs.files import check_input, new_file
-from station.runs.foreign import run_from
+from station.runs.foreign import BEFOREHAND, run_from
 from station.runs.run import Run, RunMetadata
 
 KEY = b"station"
@@ -25,7 +25,8 @@ def read_parquet(path: str | os.PathLike[str]) -> Run:
             if file.metadata.num_rows > MAX_ROWS:
                 raise WorkError(f"{path}: {file.metadata.num_rows} rows, at most {MAX_ROWS}")
             schema = file.schema_arrow
-            fault = name_fault(schema.names)
+            names = own_names(schema.names)
+            fault = name_fault(names, BEFOREHAND)
             if fault:
                 raise WorkError(f"{path}: {fault}")
             for field in schema:
@@ -38,7 +39,7 @@ def read_parquet(path: str | os.PathLike[str]) -> Run:
     for name, column in zip(table.column_names, table.columns, strict=True):
         if column.null_count:
             raise WorkError(f"{path}: column {name}: {column.null_count} values are missing")
-    columns = {name: column.to_numpy() for name, column in zip(table.column_names, table.columns, strict=True)}
+    columns = {name: column.to_numpy() for name, column in zip(names, table.columns, strict=True)}
     label = str(path)
     return run_from(label, path.stem, columns, RunMetadata.from_json(label, metadata.decode("utf-8", "replace")))
 

@@ -59,7 +59,8 @@ WRITERS: dict[str, Callable[[Run, Path, bool], None]] = {
     ".mcap": write_mcap, ".csv": write_csv, ".parquet": _write_parquet, ".mat": _write_mat, ".rrd": _write_rrd,
 }
 _MAGIC = {b"\x89MCAP0\r\n": ".mcap", b"PAR1": ".parquet", b"MATLAB 5.0 MAT-file": ".mat"}
-_REFUSED = {b"\x89HDF": "a MATLAB 7.3 or HDF5 file; save it with -v7", b"RRF": "a Rerun recording, an export alone"}
+_HDF5 = "an HDF5 file (MATLAB v7.3); save it with -v7, as save('run.mat', '-v7')"
+_REFUSED = {b"\x89HDF": _HDF5, b"MATLAB 7.3 MAT-file": _HDF5, b"RRF": "a Rerun recording, an export alone"}
 
 
 def _form(path: Path) -> str:

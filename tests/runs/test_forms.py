@@ -161,7 +161,9 @@ def test_a_failed_export_leaves_nothing_behind(tmp_path):
     ("a.mcap", b"\x89MCAP0\r\n", "no rows"), ("b.mcap", b"hello", "not an MCAP file"),
     ("c.parquet", b"PAR1" + b"\0" * 50, "not a readable Parquet file"), ("d.parquet", b"hello", "Parquet"),
     ("e.mat", b"MATLAB 5.0 MAT-file" + b"\0" * 40, "not a readable MATLAB"), ("f.mat", b"hello", "MATLAB"),
-    ("g.mat", b"\x89HDF\r\n\x1a\n", "save it with -v7"), ("h.rrd", b"RRF2\0\0", "an export alone"),
+    ("g.mat", b"\x89HDF\r\n\x1a\n", "save it with -v7"),
+    ("i.mat", b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512) + b"\x89HDF\r\n\x1a\n",
+     r"an HDF5 file \(MATLAB v7.3\); save it with -v7"), ("h.rrd", b"RRF2\0\0", "an export alone"),
 ])
 def test_broken_binary_files_are_refused_in_one_line(name, head, words, tmp_path):
     (tmp_path / name).write_bytes(head)
@@ -204,6 +206,72 @@ def test_mat_with_structs_cells_matrices_or_text_is_refused(value, tmp_path):
     scipy.io.savemat(tmp_path / "a.mat", {**columns, "accel": value})
     with pytest.raises(WorkError, match="a.mat: variable 'accel'"):
         load_run(tmp_path / "a.mat")
+
+
+def test_a_mat_without_the_variables_says_which_are_wanted_and_which_are_there(tmp_path):
+    columns = {name: np.zeros((3, 1)) for name in ("t", "reference", "command", "encoder")}
+    wanted = "wanted are the variables t, reference, command, encoder, each one column of numbers, found are "
+    for values, words in (
+            ({"log": columns}, f"'log' is a struct; {wanted}log; save.'run.mat', '-struct', 'log', '-v7'"),
+            ({"x": 1.0, "data": np.zeros((3, 4))}, f"not 3x4; {wanted}x, data"),
+            ({"t": columns["t"], "u": columns["t"]}, "command is missing; wanted are .*, found are t, u")):
+        scipy.io.savemat(tmp_path / "a.mat", values)
+        with pytest.raises(WorkError, match=words) as caught:
+            load_run(tmp_path / "a.mat")
+        assert "\n" not in str(caught.value)
+
+
+NAMES = [("T", " Reference", "COMMAND ", "Encoder"), ("t", "reference", "Command", "encoder")]
+
+
+@pytest.mark.parametrize("names", NAMES)
+@pytest.mark.parametrize("form", [".csv", ".parquet", ".mat"])
+def test_names_of_columns_are_read_in_any_case_and_with_blanks_around(names, form, tmp_path):
+    path = tmp_path / f"a{form}"
+    columns = dict(zip(names, np.arange(12.0).reshape(4, 3) / 500, strict=True))
+    if form == ".csv":
+        path.write_text(",".join(names) + "".join(f"\n{a},{b},{c},{d}" for a, b, c, d in zip(*columns.values(),
+                                                                                             strict=True)))
+    elif form == ".parquet":
+        pq.write_table(pa.table(columns), path)
+    else:
+        scipy.io.savemat(path, {name.strip(): values for name, values in columns.items()})
+    assert list(load_run(path).columns()) == ["t", "reference", "command", "encoder"]
+
+
+def test_a_name_twice_in_two_cases_is_refused(tmp_path):
+    (tmp_path / "a.csv").write_text("t,T,reference,command,encoder\n0,0,0,0,0\n1,1,0,0,0\n")
+    with pytest.raises(WorkError, match="the column 't' stands twice"):
+        load_run(tmp_path / "a.csv")
+
+
+def test_a_missing_column_is_named_with_those_found_and_an_example(tmp_path):
+    (tmp_path / "a.csv").write_text("t,setpoint,command,angle\n0,0,0,0\n0.002,0,0,0\n")
+    with pytest.raises(WorkError, match="column reference is missing; wanted are t, reference, command, encoder, found "
+                                        "are t, setpoint, command, angle; a CSV's header line reads "
+                                        "t,reference,command,encoder; where no loop was closed, the metadata"):
+        load_run(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize("form", [".csv", ".parquet", ".mat"])
+def test_of_an_open_loop_the_command_is_the_reference(form, tmp_path):
+    """The contract: of the kind open, reference = command.  Of a loop that is not told it may be either."""
+    path, columns = tmp_path / f"a{form}", {"t": [0.0, 0.002], "command": [0.0, 5.0], "encoder": [0.0, 1.0]}
+    for known in ('{"kind": "open"}', '{"kind": "p", "gain": 2.0}', None):
+        metadata = "{}" if known is None else f'{{"controller": {known}}}'
+        if form == ".csv":
+            header = "" if known is None else f"# controller = {known}\n"
+            path.write_text(header + "t,command,encoder\n0,0,0\n0.002,5,1\n")
+        elif form == ".parquet":
+            pq.write_table(pa.table(columns).replace_schema_metadata({"station": metadata}), path)
+        else:
+            scipy.io.savemat(path, {**{key: np.array([column]).T for key, column in columns.items()},
+                                    "metadata": metadata})
+        if known and "open" in known:
+            np.testing.assert_array_equal(load_run(path).reference, [0.0, 5.0])
+        else:
+            with pytest.raises(WorkError, match="column reference is missing"):
+                load_run(path)
 
 
 def test_mat_from_other_programs_is_read(tmp_path):
