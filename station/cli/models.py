@@ -9,7 +9,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from station.cli.files import written
-from station.cli.options import Json, Out, Overwrite, RigName, RunFiles, command, load_runs, need_outputs, tell_lacks
+from station.cli.options import (
+    Json,
+    Out,
+    Overwrite,
+    RigName,
+    RunFiles,
+    command,
+    load_runs,
+    need_outputs,
+    tell_lacks,
+    tell_unknown,
+)
 from station.cli.terminal import as_json, console, number, progress, row, say, table, write_text
 from station.errors import UsageError
 
@@ -49,6 +60,7 @@ def compare(runs: RunFiles, rig: RigName, json: Json = None, overwrite: Overwrit
     need_outputs(json, overwrite=overwrite, inputs=[rig, *runs])
     model = load_rig(rig)
     measured = load_runs(runs)
+    tell_unknown(runs, measured)
     with progress("simulating the tests") as update:
         found = against(model, measured, update).measures
     if as_json(json, {"runs": found}):

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from station.cli.options import Overwrite, RunFiles, command, load_runs, need_outputs, rig_of
+from station.cli.options import Overwrite, RunFiles, command, load_runs, need_outputs, rig_of, tell_unknown
 from station.cli.terminal import say
 from station.errors import UsageError
 
@@ -49,6 +49,7 @@ def view(
         raise UsageError(f"--save {save}: a recording's name ends in .rrd")
     need_outputs(save, overwrite=overwrite, inputs=[rig, extended, *runs])
     loaded = load_runs(runs)
+    tell_unknown(runs, loaded)
     model = load_rig(rig) if rig is not None else rig_of(loaded[0], runs[0])
     write = partial(write_recording, runs=loaded, rig=model, extended=None if extended is None else load_rig(extended),
                     status_names=status_names())

@@ -11,7 +11,7 @@ from typing import Literal, NoReturn
 import numpy as np
 
 from station.control.compensators import Compensator, commanded
-from station.errors import WorkError
+from station.errors import UsageError, WorkError
 from station.model import stepper
 from station.model.assembly import Assembly, assemble, axis_moment
 from station.model.compiled import address
@@ -349,12 +349,16 @@ def simulate_model(model: Model, run: Run, *, rounding: bool | Literal["inside"]
     ``more``: what the motor does more in this run, a share of the command and a constant (counts of command).
 
     ``rounding`` "inside" rounds what the compensator sees and sends, but returns what was rounded.  WorkError: the
-    run's controller reads a sensor that the rig has not.
+    run's controller is none that there is, or reads a sensor that the rig has not.
     """
     inside = stepper.INSIDE if rounding == "inside" else (stepper.ALL if rounding else stepper.NONE)
     meta, rig = run.metadata, model.rig
     state = initial_state(model, start_angle, zero, equilibrium=meta.start == "equilibrium", gap_place=gap_place)
-    controller = controller_arrays(meta.controller, rig, meta.accel_zero, limit_of(rig, meta))
+    try:
+        controller = controller_arrays(meta.controller, rig, meta.accel_zero, limit_of(rig, meta))
+    except UsageError as error:
+        raise WorkError(f"{run.name}: metadata {error}; where the log's controller is none of the kinds, leave it "
+                        "out") from None
     if rig.accelerometer is None and controller.accel_numerator.any():
         raise WorkError(f"{run.name}: its controller reads an accelerometer, and rig {rig.name} has none")
     rows = len(run.t)

@@ -36,6 +36,29 @@ def test_compare_has_the_form_of_the_contract(station, step):
     assert one["measured"]["overshoot_percent"] == pytest.approx(one["simulated"]["overshoot_percent"], abs=2.1)
 
 
+def test_compare_says_of_a_closed_loop_without_a_controller_why_it_drifts(station, tmp_path):
+    run = step_run()
+    for name, known, said in (("unknown", {"kind": "unknown"}, True), ("named", {"kind": "p", "gain": 2.0}, False)):
+        metadata = run.metadata.model_copy(update={"controller": known})
+        export_run(Run(name, metadata=metadata, **run.columns()), tmp_path / f"{name}.csv")
+        ended = station("compare", "--rig", "sflr", tmp_path / f"{name}.csv")
+        told = [line for line in ended.err.splitlines() if "does not say what closed its loop" in line]
+        assert ended.status == 0 and len(told) == said
+        assert not said or ("drifts" in told[0] and "# controller = " in told[0] and "unknown.csv" in told[0])
+    opened = Run("open", run.t, run.command, run.command, run.encoder, run.accel)
+    export_run(opened, tmp_path / "open.csv")
+    assert "what closed its loop" not in station("compare", "--rig", "sflr", tmp_path / "open.csv").err
+
+
+def test_a_log_with_a_controller_that_there_is_not_is_named(station, tmp_path):
+    run = step_run()
+    metadata = run.metadata.model_copy(update={"controller": {"kind": "p", "gain": 2.0, "integral": 1.0}})
+    export_run(Run("odd", metadata=metadata, **run.columns()), tmp_path / "odd.csv")
+    ended = station("compare", "--rig", "sflr", tmp_path / "odd.csv")
+    assert ended.status == 1 and "odd: metadata controller.integral: unknown key for kind 'p'" in ended.one_line()
+    assert "leave it out" in ended.one_line()
+
+
 @pytest.mark.parametrize("kind", ["step", "pulse"])
 def test_a_test_of_the_simulated_rig_compares_to_its_own_rig_by_nothing(station, tmp_path, kind):
     log, made = tmp_path / f"{kind}.mcap", tmp_path / "made.csv"
