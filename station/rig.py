@@ -108,7 +108,10 @@ class Tip(_Table):
 
 
 class Encoder(_Table):
-    """counts_per_revolution."""
+    """counts_per_revolution, of the base: with a [drive] the encoder is on the load's side of it, not on the motor.
+
+    docs/other_rig.md describes a rig whose encoder is on the motor.
+    """
 
     counts_per_revolution: Positive
 
