@@ -32,6 +32,8 @@ POINTS = 2000
 BANDS = 40
 SPREAD = 0.1
 """Largest standard error of a ratio in a band that is drawn, a share of its size: 0.9 dB, or 6 degrees."""
+DRIFT = 0.5
+"""Share of a joint's wind-up (rms) by which two accounts of it may differ where its spring's law is drawn."""
 FEWEST = 4
 """Spectral lines, over all runs, that a band holds at least: fewer would look coherent by themselves."""
 _DELAYS = (Stage.INPUT_DELAY, Stage.ENCODER_DELAY, Stage.ACCEL_DELAY)
@@ -52,6 +54,11 @@ class Evidence:
     note: str = ""
     without_y: np.ndarray | None = None
     """The rig without the cause, at the places of the law, where the picture shows both."""
+
+    @property
+    def drawn(self) -> bool:
+        """Whether there is anything to draw; where not, the note says why."""
+        return len(self.x) > 0
 
 
 class _Cause(NamedTuple):
@@ -235,7 +242,12 @@ def _joint(cause: _Cause, effect: Effect) -> list[Evidence]:
     Play is drawn as a share because a damper's torque, which has no place on the axis, may outweigh the spring's.
     """
     at, h = effect.at, cause.extended.period
-    found, joint = _joined(_estimates(cause, at)), getattr(cause.extended, at)
+    each = _estimates(cause, at)
+    seen = [k for k, one in enumerate(each) if _wind_up_is_seen(cause, effect, cause.runs[k], one)]
+    if not seen:
+        return [_unseen_wind_up(cause, at)]
+    cause = cause._replace(runs=[cause.runs[k] for k in seen])
+    found, joint = _joined([each[k] for k in seen]), getattr(cause.extended, at)
     angle, speed = found.angle, found.speed
     total = joint_torque(cause.without, at, angle, speed, h) - found.torque
     label = f"{'motor - base' if at == 'drive' else 'base - beam root'} (rad)"
@@ -257,6 +269,32 @@ def _joint(cause: _Cause, effect: Effect) -> list[Evidence]:
                   f"torque of the {at} less its damper (N m)", angle, total - joint.damping * speed,
                   (grid, joint_torque(cause.extended, at, grid, np.zeros(len(grid)), h)),
                   f"{source}; the damper's part is taken off. Line: the fitted law.{doubt}")]
+
+
+def _wind_up_is_seen(cause: _Cause, effect: Effect, run: Run, found: MissingTorque) -> bool:
+    """Whether the sensors tell a joint's wind-up in a run well enough to draw its law against it.
+
+    No sensor reads the motor.  Its place is worked out from the command, and a small torque that the model lacks makes
+    it drift.  Two accounts meet the readings alike: a torque missing in the joint (``found``), and with the cause in
+    its place one at the motor.  They must put the wind-up closer together than the play is wide, or of a spring than
+    DRIFT of the wind-up itself (rms).
+    """
+    other = missing_torque(cause.extended, run, "motor", along=effect.at, accelerometer=found.by_accel)
+    allowed = effect.values()["gap"] if "gap" in effect.values() else DRIFT * _rms(other.angle)
+    return _rms(found.angle - other.angle) <= allowed
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _unseen_wind_up(cause: _Cause, at: str) -> Evidence:
+    """Why there is no picture of a joint's law."""
+    nothing = np.zeros(0)
+    return Evidence(f"Torque of the {at} against its wind-up: {cause.title}", "none", "", "", nothing, nothing,
+                    note=f"Not drawn: these runs do not show the wind-up of the {at}. No sensor reads the motor's own "
+                         "angle, and what little torque the model lacks there lets its estimate drift by more than "
+                         "the law bends. This speaks neither for the cause nor against it.")
 
 
 def _running_median(x: np.ndarray, y: np.ndarray, width: int = 25) -> tuple[np.ndarray, np.ndarray]:

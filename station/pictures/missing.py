@@ -129,8 +129,11 @@ class _Motion(NamedTuple):
         return _between(self.angle @ port), _between(self.speed @ port)
 
 
-def missing_torque(rig: Rig, run: Run, at: str = "motor", *, accelerometer: bool = True) -> MissingTorque:
+def missing_torque(rig: Rig, run: Run, at: str = "motor", *, along: str = "",
+                   accelerometer: bool = True) -> MissingTorque:
     """Estimate the torque that is missing at ``at``: motor, base, drive, clamp or tip (there a force).
+
+    ``along``: the place whose angle and speed are told, by default ``at``.
 
     The command chain that the rig holds (delay, lag and every static effect) acts on the logged command.  Torques that
     it holds at any place are evaluated on the smoothed motion and are not part of the answer; of dry friction that is
@@ -167,7 +170,8 @@ def missing_torque(rig: Rig, run: Run, at: str = "motor", *, accelerometer: bool
         motion = _Motion(driven.angle + x[:, :modes] @ form.basis[:n].T, driven.speed + x[:, :modes] @ form.basis[n:].T)
         if k < passes:
             known, forcing, seen = _known(plant, laws, motion, _load(plant, motion, reaching), known, excess)
-    return MissingTorque(run.t, _next(x[:, modes]), np.sqrt(_next(variance)), *motion.along(port), run.command,
+    return MissingTorque(run.t, _next(x[:, modes]), np.sqrt(_next(variance)),
+                         *motion.along(port_vector(rig, parts, along or at)), run.command,
                          _between(motion.speed[:, parts.base]), _load(plant, motion, reaching), step, mistrust,
                          use_accel)
 

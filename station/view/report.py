@@ -106,7 +106,8 @@ class _Page:
         if self.hero is not None:
             self.figures["hero"] = figures.hero(*self.hero)
         for index, evidence in enumerate(result.evidence):
-            self.figures[f"evidence-{index}"] = figures.evidence_figure(evidence)
+            if evidence.drawn:
+                self.figures[f"evidence-{index}"] = figures.evidence_figure(evidence)
         self.points = figures.points_per_line(result.comparisons)
         for index, comparison in enumerate(result.comparisons):
             self.figures[f"run-{index}"] = figures.run_figure(comparison, self.points)

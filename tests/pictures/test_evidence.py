@@ -247,3 +247,22 @@ def test_friction_is_drawn_against_speed_whatever_picture_its_effect_names(monke
     picture, _ = evidence(RIG, extended, runs, [("coulomb_friction", "motor")])
     assert (picture.kind, picture.title, picture.xlabel) == (usual.kind, usual.title, usual.xlabel)
     np.testing.assert_array_equal(picture.x, usual.x)
+
+
+STIFF = {"name": "two inertias", "sample_rate": 500.0, "motor": {"inertia": 4e-4, "damping": 3e-3, "gain": 4e-4},
+         "drive": {"stiffness": 9.0, "damping": 0.005}, "base": {"inertia": 1e-3},
+         "encoder": {"counts_per_revolution": 8192.0}, "amplifier": {"limit": 1000.0}}
+"""Two inertias of which the encoder reads the second."""
+
+
+@pytest.mark.parametrize(("lost", "shown"), [(0.0, True), (0.004, False)])
+def test_play_is_drawn_only_where_the_wind_up_is_seen(lost, shown):
+    """Friction at the motor that the model lacks, a hundredth of its torque, lets the estimated wind-up run away."""
+    rig, play = Rig.model_validate(STIFF), {"effect": "backlash", "at": "drive", "gap": 0.03}
+    rows = [play, {"effect": "coulomb_friction", "at": "motor", "torque": lost}][: 2 if lost else 1]
+    extended = rig.with_effects([effect_class("backlash")(at="drive", gap=0.03)])
+    picture, _ = evidence(rig, extended, made(rows, STIFF, [sweep_test(RATE, 600.0, 0.7, 12.0, 4.0)]),
+                          [("backlash", "drive")])
+    assert picture.drawn == shown
+    assert ("Not drawn: these runs do not show the wind-up of the drive." in picture.note) != shown
+    assert not shown or np.abs(picture.x).max() < 0.2

@@ -21,6 +21,7 @@ from rich.console import Console
 from station.diagnose.odds import SEED
 from station.diagnose.result import BetweenRuns, Diagnosis, Estimate, Gain, OwnOfRun, Wrong
 from station.errors import WorkError
+from station.pictures.evidence import Evidence
 from station.view import wording
 from station.view.html import PLOTLY
 from station.view.report import SECTIONS, report_html, write_report
@@ -269,3 +270,11 @@ def test_runs_that_differ_are_told_beside_the_causes_run_by_run() -> None:
     assert f"{names[1]} −5.0 % 0.25" in text and f"{names[4]} 25 % 1.0" in text
     print_diagnosis(differ, Console(file=out, width=400))
     assert "That is 88 % probable, shown by 93 % of the resamples." in out.getvalue()
+
+
+def test_a_picture_that_cannot_show_gives_its_reason_and_no_figure() -> None:
+    none = np.zeros(0)
+    lost = Evidence("Torque of the drive", "none", "", "", none, none, note="Not drawn: nobody reads the motor.")
+    html = report_html(replace(made.result(), draw=lambda: [lost, made.friction_evidence()]))
+    assert "Not drawn: nobody reads the motor." in Page(html).text
+    assert "figure-evidence-0" not in html and "figure-evidence-1" in html and '"evidence-0"' not in html
