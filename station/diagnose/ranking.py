@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 from station.diagnose.finding import Finding
-from station.diagnose.odds import Odds
+from station.diagnose.odds import Odds, is_beyond
 from station.diagnose.result import CHANNELS, RankedCause
 from station.diagnose.selection import Selection
-from station.diagnose.thresholds import NOISE
+from station.diagnose.thresholds import LOG_PRIOR, LOG_PRIOR_PARAMETER, NOISE
 from station.diagnose.unseen import Unseen
 from station.diagnose.validation import standard_error, unseen_gain
+from station.estimation.cause import Causes, Key, is_constant
+from station.model.effects import effect_class
 from station.rig import Rig
 
 
@@ -19,15 +24,53 @@ def ranking(search: Selection, found: Odds, unseen: Unseen) -> list[RankedCause]
     for key in dict.fromkeys([*(key for keys in sorted(search.fits, key=sorted) if len(keys) == 1 for key in keys),
                               *sorted(found.causes)]):
         holders = sorted((k for k in search.fits if key in k), key=lambda k: (len(k), -search.score(search.fits[k])))
-        if not holders:
-            rows.append(RankedCause(key[0], key[1], found.causes.get(key, 0.0), 0.0, None, "by an equivalence"))
-            continue
-        keys, fitted = holders[0], search.fits[holders[0]]
-        gained = (unseen_gain(search.compared, densities[keys] - densities[frozenset()]) if keys in densities else None)
-        bought = 2.0 * (search.evidence(fitted) - search.evidence(nothing))
-        rows.append(RankedCause(key[0], key[1], found.causes.get(key, 0.0), bought, gained,
-                                "" if len(keys) == 1 else f"as part of {fitted.space.hypothesis.label}"))
+        row = RankedCause(key[0], key[1], found.causes.get(key, 0.0), 0.0, None, "by an equivalence")
+        if holders:
+            keys, fitted = holders[0], search.fits[holders[0]]
+            gained = (unseen_gain(search.compared, densities[keys] - densities[frozenset()])
+                      if keys in densities else None)
+            row = replace(row, delta_chi2=2.0 * (search.evidence(fitted) - search.evidence(nothing)),
+                          held_out_gain=gained,
+                          note="" if len(keys) == 1 else f"as part of {fitted.space.hypothesis.label}")
+            row = _placed(search, found, unseen, row, holders)
+        rows.append(row)
     return sorted(rows, key=lambda r: (-round(r.probability, 6), -r.delta_chi2))
+
+
+def _placed(search: Selection, found: Odds, unseen: Unseen, row: RankedCause, holders: Sequence[Causes]) -> RankedCause:
+    """A candidate with what it adds to its set, and why it is not named; ``holders``: the sets with it, smallest first.
+    """
+    key, said = (row.effect, row.at), max(unseen.densities, key=len)
+    named = frozenset() if unseen.simulations[2] is unseen.simulations[1] else said
+    tried = named | {key} if named and named | {key} in search.fits else holders[0]
+    row = replace(row, adds=_added(search, tried, key), price=_price(key), stability=found.stability.get(key, 0.0))
+    if key in named:
+        return row
+    row = replace(row, beside_named=tried == named | {key} and bool(named))
+    best = max((search.fits[keys] for keys in holders), key=search.score)
+    reference = search.fits.get(named) or search.best()
+    instead = {one for one in named if one[0] == row.effect} or (reference.key - best.key if named else frozenset())
+    row = replace(row, behind=2.0 * (search.score(reference) - search.score(best)))
+    if key in said:
+        return replace(row, lost="left_out")
+    if not is_beyond(search, best, key):
+        return replace(row, lost="within")
+    if key in found.sets[0][0] or row.behind < 0.0:
+        return replace(row, lost="resamples")
+    return replace(row, lost="another", instead=tuple(sorted(instead))) if instead else row
+
+
+def _added(search: Selection, keys: Causes, key: Key) -> float | None:
+    """Twice what a cause adds to the log evidence of a set without it; None where one of the two was not fitted."""
+    if keys not in search.fits or keys - {key} not in search.fits:
+        return None
+    return 2.0 * (search.evidence(search.fits[keys]) - search.evidence(search.fits[keys - {key}]))
+
+
+def _price(key: Key) -> float:
+    """Twice the log odds beforehand against one further cause."""
+    further = 0 if is_constant(key[0]) else len(effect_class(key[0]).parameters()) - 1
+    return -2.0 * (LOG_PRIOR + LOG_PRIOR_PARAMETER * further)
 
 
 def notes(rig: Rig, search: Selection, finding: Finding, unseen: Unseen) -> list[str]:

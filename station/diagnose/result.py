@@ -247,6 +247,22 @@ class RankedCause:
     held_out_gain: float | None
     """Share of the re-fitted rig's error on unseen runs that it takes away, by fits that left them out."""
     note: str = ""
+    adds: float | None = None
+    """Twice what it adds to the log evidence of its set without it; None where that was not fitted.  Its set is the one
+    that is named, where it is named or that set was fitted with it, else its note's."""
+    price: float = 0.0
+    """What it must add to be worth its odds beforehand, in the same measure."""
+    beside_named: bool = False
+    """Whether it is not named, and what it adds is beside the causes that are."""
+    lost: Literal["", "resamples", "left_out", "within", "another"] = ""
+    """Why it is not named though it may add enough: too few resamples name it; runs left out speak against it; a
+    constant within its stated uncertainty; another in its place."""
+    stability: float = 0.0
+    """Share of resamples of the data in which it is named."""
+    instead: tuple[tuple[str, str], ...] = ()
+    """What the set that is named has in its place."""
+    behind: float = 0.0
+    """Twice the log odds of that set against the best one that holds the candidate."""
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
+from typing import Any
 
 import pytest
 from rich.console import Console
@@ -51,15 +53,21 @@ def test_notes_of_the_diagnosis_name_causes_by_their_titles() -> None:
     assert wording.plain("parameter:tip.mass@ + made_up@motor") == "wrong tip mass + made_up@motor"
 
 
-def test_what_is_tried_beside_the_first_says_what_it_adds() -> None:
+def test_what_is_tried_beside_others_says_what_it_adds() -> None:
     first = RankedCause("backlash", "drive", 0.99, 500.0, 0.4)
-    note = "as part of backlash@drive + dead_zone@amplifier"
-    assert wording.why_lost(RankedCause("dead_zone", "amplifier", 0.1, 500.3, None, note), first, False) == \
-        "as part of backlash in the drive + dead zone in the amplifier: adds nothing to 2 Δln L"
-    assert wording.why_lost(RankedCause("dead_zone", "amplifier", 0.1, 510.0, None, note), first, False).endswith(
-        "adds 10.0 to 2 Δln L, too little")
-    assert wording.why_lost(RankedCause("dead_zone", "amplifier", 0.6, 510.0, None, note), first, False) == \
-        "may be there as well, but too few resamples name it"
+    rival = RankedCause("dead_zone", "amplifier", 0.1, 3956.0, None, "as part of backlash@drive + dead_zone@amplifier",
+                        price=8.8)
+    title = "as part of backlash in the drive + dead zone in the amplifier"
+
+    def said(**facts: Any) -> str:
+        return wording.why_lost(replace(rival, **facts), first, False)
+    assert said() == title, "nothing is known of what it adds"
+    assert said(adds=0.3) == f"{title}: adds nothing to 2 Δln L"
+    assert said(adds=6.0) == f"{title}: adds 6.00 to 2 Δln L, too little (it must add 8.8)"
+    assert said(adds=52.8) == f"{title}: adds 52.8 to 2 Δln L"
+    assert said(adds=52.8, lost="within") == \
+        f"{title}: adds 52.8 to 2 Δln L; a value within the rig's stated uncertainty does as well"
+    assert said(probability=0.6) == "may be there as well, but too few resamples name it"
 
 
 def test_a_test_is_told_with_six_digits() -> None:

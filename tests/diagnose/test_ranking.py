@@ -1,0 +1,76 @@
+"""What each candidate adds to its set, and why it is not named, on evidences made up."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from station.diagnose.odds import Odds
+from station.diagnose.ranking import ranking
+from station.diagnose.result import RankedCause
+from station.diagnose.thresholds import LOG_PRIOR
+from station.model.effects import effect_class
+from station.view.wording import why_lost
+from tests.diagnose.test_selection import found, searching
+
+PLAY, RUBS, LATE, INPUT, LAG, DRAG = ((effect_class(name), at) for name, at in (
+    ("backlash", "drive"), ("coulomb_friction", "base"), ("encoder_delay", "encoder"), ("input_delay", "amplifier"),
+    ("actuator_lag", "amplifier"), ("quadratic_drag", "base")))
+EVIDENCES = [(0.0, ()), (2000.0, (PLAY,)), (100.0, (RUBS,)), (-5.0, (LATE,)), (4000.0, (PLAY, RUBS)),
+             (4020.0, (PLAY, RUBS, LATE)), (4019.5, (PLAY, RUBS, INPUT)), (2010.0, (PLAY, LATE)), (70.0, (RUBS, LAG)),
+             (4020.2, (PLAY, RUBS, LATE, DRAG))]
+
+
+def key(cause: tuple) -> tuple[str, str]:
+    return cause[0].name, cause[1]
+
+
+def ranked(named: tuple, against: bool = False) -> dict[str, RankedCause]:
+    """The rows by their effect, where ``named`` are said; ``against``: and runs left out speak against them."""
+    search = searching()
+    for evidence, causes in EVIDENCES:
+        one = found(evidence, *causes)
+        one.space.hypothesis = SimpleNamespace(**vars(one.space.hypothesis), causes=one.key,
+                                               label=" + ".join("@".join(k) for k in map(key, causes)))
+        search.fits[one.key] = one
+    keys = frozenset(map(key, named))
+    said = Odds([(frozenset(map(key, (PLAY, RUBS, LATE))), 0.6)], {key(PLAY): 0.99, key(RUBS): 0.99, key(LATE): 0.5,
+                key(INPUT): 0.4, key(LAG): 0.1, key(DRAG): 0.05}, 0.0, {key(PLAY): 1.0, key(RUBS): 1.0, key(LATE): 0.55})
+    refit: list = []
+    unseen = SimpleNamespace(densities={keys: 0.0, frozenset(): 0.0}, simulations=([], refit, refit if against else []))
+    return {row.effect: row for row in ranking(search, said, unseen)}
+
+
+def told(rows: dict[str, RankedCause], cause: tuple, named: tuple) -> str:
+    return why_lost(rows[cause[0].name], next(iter(rows.values())), cause in named)
+
+
+def test_what_a_cause_adds_is_over_the_same_set_without_it() -> None:
+    named = (PLAY, RUBS, LATE)
+    rows = ranked(named)
+    assert rows["encoder_delay"].adds == pytest.approx(40.0) and rows["encoder_delay"].delta_chi2 == -10.0
+    assert rows["input_delay"].adds == pytest.approx(39.0) and rows["input_delay"].delta_chi2 == 8039.0
+    assert rows["actuator_lag"].adds == pytest.approx(-60.0)
+    assert rows["coulomb_friction"].adds == pytest.approx(2.0 * (4020.0 - 2010.0))
+    assert rows["backlash"].adds is None, "what is named without it was not fitted"
+    assert rows["input_delay"].price == pytest.approx(-2.0 * LOG_PRIOR)
+
+
+def test_nothing_is_too_little_that_is_more_than_a_cause_must_add() -> None:
+    named = (PLAY, RUBS, LATE)
+    rows = ranked(named)
+    assert told(rows, LATE, named) == "named as a cause: adds 40.0 to 2 Δln L of the others that are named"
+    assert told(rows, PLAY, named) == "named as a cause"
+    assert told(rows, INPUT, named) == ("as part of backlash in the drive + Coulomb friction at the base + input delay "
+                                        "in the amplifier: adds 39.0 to 2 Δln L; encoder delay in its place does as "
+                                        "well")
+    assert told(rows, LAG, named).endswith("+ actuator lag in the amplifier: adds nothing to 2 Δln L")
+    assert told(rows, DRAG, named) == "beside the causes named: adds nothing to 2 Δln L"
+
+
+def test_what_few_resamples_name_or_runs_left_out_contradict_says_so() -> None:
+    named = (PLAY, RUBS)
+    assert told(ranked(named), LATE, named) == \
+        "beside the causes named: adds 40.0 to 2 Δln L; named in 55 % of the resamples, too few"
+    assert told(ranked(named, against=True), RUBS, ()) == "does not help on unseen runs"
