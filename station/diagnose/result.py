@@ -227,6 +227,11 @@ class RunComparison:
         rows[self.part] = self.run.logged[self.part]
         return rows
 
+    def variance(self, channel: str) -> float:
+        """Of a channel about its mean, summed over the rows, counts^2."""
+        measured = getattr(self.run, channel)[self.rows]
+        return float(np.sum((measured - measured.mean()) ** 2))
+
     def errors(self, channel: str) -> list[float | None]:
         """nrmse before, re-fitted and after; None where there is no such simulation or the channel never moves."""
         rows = self.rows
@@ -300,6 +305,18 @@ class DiagnosisResult:
     """What the leading rivals say of it."""
     equivalences: list[str] = field(default_factory=list)
     """What is known to be the same as the causes named, in sentences."""
+
+    def refitted(self, channel: str) -> float | None:
+        """nrmse over all runs with the constants re-fitted alone, by fits that left each run out, as ``gain`` has it
+        before and after; None where a run has none."""
+        total = spread = 0.0
+        for one in self.comparisons:
+            if channel in one.channels:
+                size, error = one.variance(channel), one.errors(channel)[1]
+                if size and error is None:
+                    return None
+                total, spread = total + (error or 0.0) ** 2 * size, spread + size
+        return math.sqrt(total / spread) if spread else None
 
     @cached_property
     def evidence(self) -> list[Evidence]:

@@ -98,9 +98,9 @@ class _Page:
         self.sections = SECTIONS
         self.draws, self.seed, self.asked = RESAMPLES, SEED, STABLE
         self.residuals = residuals(result)
-        self.diagnosis = result.diagnosis
+        self.diagnosis = wording.as_told(result)
         self.rig = result.rig
-        self.sentence = wording.verdict_sentence(result.diagnosis, result.rig)
+        self.sentence = wording.verdict_sentence(self.diagnosis, result.rig)
         self.figures: dict[str, go.Figure] = {}
         self.hero = figures.hero_choice(result)
         if self.hero is not None:
@@ -164,9 +164,7 @@ class _Page:
     @property
     def ranking(self) -> list[tuple[Any, str]]:
         """The candidates and why each stands where it does."""
-        named = {(c.effect, c.at) for c in self.diagnosis.causes}
-        ranking = self.result.ranking
-        return [(c, wording.why_lost(c, ranking[0], (c.effect, c.at) in named)) for c in ranking[:MAX_RANKED]]
+        return wording.ranked(self.result, MAX_RANKED)
 
     @property
     def first_ranked(self) -> int:

@@ -22,7 +22,7 @@ def print_diagnosis(result: DiagnosisResult, console: Console, rig: str = "RIG")
 
     ``rig``: how the rig was named on the command line, for the next one.
     """
-    found = result.diagnosis
+    found = wording.as_told(result)
     console.print(_plain(wording.verdict_sentence(found, result.rig)), style="bold")
     if found.wrong:
         console.print(_table("What the simulation gets wrong", ["run", "measure", "simulated", "measured"],
@@ -41,11 +41,9 @@ def print_diagnosis(result: DiagnosisResult, console: Console, rig: str = "RIG")
     for sentence in result.equivalences:
         console.print(_plain(f"{sentence} No test can tell them apart."))
     if result.ranking:
-        named = {(c.effect, c.at) for c in found.causes}
         console.print(_table("Candidates", ["candidate", "probability", "2 Δln L", "gain", "why it stands here"], [
             (wording.cause_title(c.effect, c.at), wording.probability(c.probability), wording.number(c.delta_chi2),
-             wording.percent(c.held_out_gain), wording.why_lost(c, result.ranking[0], (c.effect, c.at) in named))
-            for c in result.ranking[:RANKED]]))
+             wording.percent(c.held_out_gain), why) for c, why in wording.ranked(result, RANKED)]))
     if result.comparisons:
         print_comparison(result.comparisons, console, {row.run: row.repeats for row in found.gain.runs})
     _print_ahead(found, console)
@@ -55,6 +53,8 @@ def print_diagnosis(result: DiagnosisResult, console: Console, rig: str = "RIG")
         console.print(_plain(f"{differ} That is {wording.differences(found)}."))
     if gone := wording.gone(found):
         console.print(wording.sentence(f"on runs that no fit has seen, {gone}"))
+    for told in wording.beyond(result):
+        console.print(_plain(told))
     if found.next_experiment is not None:
         for line in f"Next: {wording.next_test(found.next_experiment, rig)}".splitlines():
             console.print(_plain(line), soft_wrap=True)

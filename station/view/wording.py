@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from station.control.named import named_controller
 from station.control.references import KINDS, defaults
+from station.diagnose.thresholds import STABLE, SURE
 from station.estimation.cause import constant_path, is_constant
 from station.model.effects import catalogue
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
         Cause,
         ChannelGain,
         Diagnosis,
+        DiagnosisResult,
         Estimate,
         NextExperiment,
         RankedCause,
@@ -34,12 +36,17 @@ STATES = {"determined": "determined by these runs", "at_bound": "at a bound",
           "traded_off": "known only together with another",
           "not_excited": "not told by these runs; known only as it was beforehand"}
 
-_LATENCY = {"input_delay", "encoder_delay"}
-"""Delays of which a loop shows the sum."""
+LATENCY = "loop_latency"
+"""How a delay is called that stands at the encoder or at the input, and nothing tells at which."""
+SMALL = 0.01
+"""Share of the command's torque below which a missing one is called little: what a motor does from one test to the next
+differs by as much."""
+_DELAYS = {"input_delay", "encoder_delay"}
 _INSIDE = {"drive", "clamp", "accelerometer", "encoder", "clock", "amplifier"}
 # measure: (words, factor, unit)
 _MEASURES = {"overshoot_percent": ("overshoot", 1.0, " %"), "settling_time": ("settling time", 1.0, " s"),
              "peak_counts": ("peak", 1.0, " counts"), "nrmse": ("error", 100.0, " % of the signal")}
+_TITLES = {LATENCY: "latency in the loop (encoder or input)"}
 _NO_CAUSE = {"none": "none of these", "nothing": "nothing missing", "": "nothing missing"}
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -112,8 +119,8 @@ def cause_title(effect: str, at: str) -> str:
     """``Coulomb friction at the motor``, ``wrong tip mass``."""
     if is_constant(effect):
         return f"wrong {constant_title(constant_path(effect))}"
-    if effect in _NO_CAUSE:
-        return _NO_CAUSE[effect]
+    if effect in _NO_CAUSE or effect in _TITLES:
+        return {**_NO_CAUSE, **_TITLES}[effect]
     known = catalogue().get(effect)
     title = known.title if known is not None and known.title else effect.replace("_", " ")
     return title if not at or at in title else f"{title} {place(at)}"
@@ -164,7 +171,7 @@ def outside_sentence(outside: float) -> str:
 
 
 def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
-    """The verdict as one plain sentence for a student."""
+    """The verdict for a student: one plain sentence, or two where something is certain and something is not."""
     causes = diagnosis.causes
     if diagnosis.verdict in ("explained", "partly_explained") and causes:
         fraction = diagnosis.gain.explained_fraction
@@ -174,19 +181,9 @@ def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
                 "partly_explained": f"{closer} more than noise remains"}
         return f"The simulation {_accusation(causes, rig)}; with that put right, {ends[diagnosis.verdict]}."
     if diagnosis.verdict == "ambiguous" and causes:
-        first = next((c for c in causes if c.rivals), causes[0])
-        rivals: list[Cause | Rival] = [first, *first.rivals[:2]]
-        others = [c for c in causes if c is not first]
-        certain = f" besides {titles(others)}" if others else ""
-        if len(rivals) == 1:
-            return f"The simulation gets something wrong{certain}; {titles(rivals)} would explain it, " \
-                   "but these runs cannot settle it."
-        if {one.effect for one in rivals} == _LATENCY:
-            late = interval(first.parameters["time"])
-            return f"The loop's total latency is longer than simulated by {late}{certain}, and these runs cannot " \
-                   f"tell whether it is {titles(rivals, 'or')}."
-        return f"The simulation gets something wrong{certain}, but these runs cannot tell whether it is " \
-               f"{titles(rivals, 'or')}."
+        return _ambiguous(diagnosis, rig)
+    if diagnosis.verdict == "unexplained" and diagnosis.disturbance is not None:
+        return _unexplained(diagnosis.disturbance.refitted)
     return {"unexplained": "The simulation gets something wrong, and no cause known here is named by most resamples "
                            "of these runs and helps on runs that no fit has seen.",
             "nothing_missing": "Nothing is missing: the simulation agrees with these runs to within noise and "
@@ -195,12 +192,107 @@ def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
             }.get(diagnosis.verdict, "The simulation gets something wrong that these runs do not settle.")
 
 
+def _unexplained(missing: float) -> str:
+    """``missing``: torque, a share of the command's, that the re-fitted rig lacks."""
+    share = f"a torque of {percent(missing)} of the command's"
+    if missing < SMALL:
+        return ("The simulation gets something wrong, but little: with its constants re-fitted all that is left is "
+                f"{share}, which no law of the catalogue describes.")
+    return (f"The simulation gets something wrong: with its constants re-fitted {share} is still missing, and no cause "
+            "known here is named by most resamples of these runs and helps on runs that no fit has seen.")
+
+
+def _ambiguous(diagnosis: Diagnosis, rig: Rig) -> str:
+    """What is certain, then what is undecided between which."""
+    causes, sure = diagnosis.causes, SURE * (1.0 - diagnosis.outside)
+    undecided = [c for c in causes if c.stability < STABLE or c.probability < sure]
+    late = any(c.effect == LATENCY for c in causes)
+    if not undecided and not late:
+        undecided = [max(causes, key=lambda c: sum(r.probability for r in c.rivals))]
+    certain = [c for c in causes if c not in undecided]
+    parts = [f"The simulation {_accusation(certain, rig)}."] if certain else []
+    begin = "Something more is wrong" if certain else "The simulation gets something wrong"
+    choices = [_choice(c, certain) for c in undecided]
+    if any(len(choice) > 1 for choice in choices):
+        pairs = ", nor ".join(f"whether it is {_and(choice, 'or')}" for choice in choices if len(choice) > 1)
+        parts.append(f"{begin}, but these runs cannot tell {pairs}.")
+    elif undecided:
+        parts.append(f"{begin}; {_and([choice[0] for choice in choices])} would explain it, but these runs cannot "
+                     "settle it.")
+    else:
+        parts.append("These runs cannot tell whether that latency stands at the encoder or at the input.")
+    return " ".join(parts)
+
+
+def _choice(cause: Cause, certain: Sequence[Cause]) -> list[str]:
+    """A cause that is undecided and at most two rivals that count beside it, in words."""
+    sure = {(c.effect, c.at) for c in certain}
+    rivals = [r for r in cause.rivals if (r.effect, r.at) not in sure]
+    close = [r for r in rivals if r.probability >= 0.1 * cause.probability] or rivals[:1]
+    return [_told(cause), *(cause_title(r.effect, r.at) for r in close[:2])]
+
+
+def _told(cause: Cause) -> str:
+    """A cause for a headline: a latency with its size."""
+    title = cause_title(cause.effect, cause.at)
+    if cause.effect != LATENCY:
+        return title
+    return f"a {title.replace('latency', f'latency of {_milliseconds(cause)}', 1)}"
+
+
+def _milliseconds(cause: Cause) -> str:
+    return f"{number(1e3 * cause.parameters['time'].value, 2)} ms"
+
+
+def as_told(result: DiagnosisResult) -> Diagnosis:
+    """The diagnosis for people: encoder and input delay are one latency of the loop where nothing tells them apart.
+
+    That is so without an accelerometer, where the table of equivalences says that they are the same.
+    """
+    found, twins = result.diagnosis, _twins(result)
+    if twins is None:
+        return found
+    cause, twin = twins
+    rows = {(row.effect, row.at): row.stability for row in result.ranking}
+    both = cause.model_copy(update={
+        "effect": LATENCY, "at": "", "probability": min(cause.probability + twin.probability, 1.0 - found.outside),
+        "stability": min(cause.stability + rows.get((twin.effect, twin.at), 0.0), 1.0),
+        "rivals": [r for r in cause.rivals if r is not twin]})
+    others = [c.model_copy(update={"rivals": [r for r in c.rivals if r.effect != twin.effect]})
+              for c in found.causes if c is not cause]
+    causes = sorted([*others, both], key=lambda c: -c.probability)
+    return found.model_copy(update={"causes": causes})
+
+
+def _twins(result: DiagnosisResult) -> tuple[Cause, Rival] | None:
+    """A named delay and the other one in its place, where both are the same to every test."""
+    from station.diagnose.equivalences import TABLE  # slow to import
+
+    same = next(row.sentence for row in TABLE if row.name == "delays")
+    delays = [c for c in result.diagnosis.causes if c.effect in _DELAYS]
+    if result.rig.accelerometer is not None or same not in result.equivalences or len(delays) != 1:
+        return None
+    twin = next((r for r in delays[0].rivals if r.effect in _DELAYS), None)
+    return None if twin is None else (delays[0], twin)
+
+
+def ranked(result: DiagnosisResult, most: int) -> list[tuple[RankedCause, str]]:
+    """The first candidates, and why each stands where it does."""
+    named, twins = {(c.effect, c.at) for c in result.diagnosis.causes}, _twins(result)
+    rows = [(c, why_lost(c, result.ranking[0], (c.effect, c.at) in named)) for c in result.ranking[:most]]
+    if twins is None:
+        return rows
+    same, twin = (cause_title(one.effect, one.at) for one in twins)
+    return [(c, f"one latency with the {same}, which no test tells from it" if cause_title(c.effect, c.at) == twin
+             else why) for c, why in rows]
+
+
 def _accusation(causes: Sequence[Cause], rig: Rig) -> str:
     effects = [c for c in causes if not is_constant(c.effect)]
     constants = [c for c in causes if is_constant(c.effect)]
     parts = []
     if effects:
-        parts.append(f"leaves out {titles(effects)}")
+        parts.append(f"leaves out {_and(list(map(_told, effects)))}")
     if constants:
         nominal = rig.constants()
         words = []
@@ -312,6 +404,25 @@ def gone(diagnosis: Diagnosis) -> str:
     return f"{percent(fraction)} of the error above the noise is gone{rest}"
 
 
+def beyond(result: DiagnosisResult) -> list[str]:
+    """What re-fitting the constants alone does, and what the causes do beyond it, a sentence per channel; none without
+    causes."""
+    said = []
+    for name, words in CHANNELS.items():
+        gain, refit = getattr(result.diagnosis.gain, name), result.refitted(name)
+        if gain is None or refit is None or not result.diagnosis.causes:
+            continue
+        fall = gain.nrmse_before - gain.nrmse_after
+        share = (gain.nrmse_before - refit) / fall if fall > 0.0 else None
+        alone = ("" if share is None else " Re-fitting alone does none of that." if share <= 0.0 else
+                 " Re-fitting alone does all of that." if share >= 0.995 else
+                 f" Re-fitting alone does {percent(share)} of that, the causes the rest.")
+        said.append(f"{words.capitalize()} error: {percent(gain.nrmse_before)} with the rig file as it is, "
+                    f"{percent(refit)} with its constants re-fitted, {percent(gain.nrmse_after)} with the causes."
+                    f"{alone}")
+    return said
+
+
 def leaves_noise(diagnosis: Diagnosis) -> bool:
     """Whether the verdict says that what is left, over whole runs, is noise and stated uncertainty."""
     return diagnosis.outside == 0.0
@@ -348,10 +459,10 @@ def no_test(diagnosis: Diagnosis) -> str:
     return "None was worked out."
 
 
-def gain_rows(diagnosis: Diagnosis) -> list[tuple[str, ChannelGain]]:
-    """The gain per channel, in words, of the channels that have one."""
-    pairs = ((words, getattr(diagnosis.gain, name)) for name, words in CHANNELS.items())
-    return [(name, gain) for name, gain in pairs if gain is not None]
+def gain_rows(result: DiagnosisResult) -> list[tuple[str, ChannelGain, float | None]]:
+    """The gain per channel, in words, of the channels that have one, and the error with the constants re-fitted."""
+    rows = ((words, getattr(result.diagnosis.gain, name), result.refitted(name)) for name, words in CHANNELS.items())
+    return [(name, gain, refit) for name, gain, refit in rows if gain is not None]
 
 
 def ahead_times(diagnosis: Diagnosis) -> list[str]:

@@ -35,8 +35,9 @@ def ranked(named: tuple, against: bool = False) -> dict[str, RankedCause]:
                                                label=" + ".join("@".join(k) for k in map(key, causes)))
         search.fits[one.key] = one
     keys = frozenset(map(key, named))
-    said = Odds([(frozenset(map(key, (PLAY, RUBS, LATE))), 0.6)], {key(PLAY): 0.99, key(RUBS): 0.99, key(LATE): 0.5,
-                key(INPUT): 0.4, key(LAG): 0.1, key(DRAG): 0.05}, 0.0, {key(PLAY): 1.0, key(RUBS): 1.0, key(LATE): 0.55})
+    likely = {PLAY: 0.99, RUBS: 0.99, LATE: 0.5, INPUT: 0.4, LAG: 0.1, DRAG: 0.05}
+    said = Odds([(frozenset(map(key, (PLAY, RUBS, LATE))), 0.6)], {key(c): p for c, p in likely.items()}, 0.0,
+                {key(PLAY): 1.0, key(RUBS): 1.0, key(LATE): 0.55})
     refit: list = []
     unseen = SimpleNamespace(densities={keys: 0.0, frozenset(): 0.0}, simulations=([], refit, refit if against else []))
     return {row.effect: row for row in ranking(search, said, unseen)}
