@@ -415,7 +415,8 @@ def beyond(result: DiagnosisResult) -> list[str]:
         fall = gain.nrmse_before - gain.nrmse_after
         share = (gain.nrmse_before - refit) / fall if fall > 0.0 else None
         alone = ("" if share is None else " Re-fitting alone does none of that." if share <= 0.0 else
-                 " Re-fitting alone does all of that." if share >= 0.995 else
+                 " Re-fitting alone does all of that." if share >= 1.0 else
+                 " Re-fitting alone does nearly all of that." if share >= 0.95 else
                  f" Re-fitting alone does {percent(share)} of that, the causes the rest.")
         said.append(f"{words.capitalize()} error: {percent(gain.nrmse_before)} with the rig file as it is, "
                     f"{percent(refit)} with its constants re-fitted, {percent(gain.nrmse_after)} with the causes."

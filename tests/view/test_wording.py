@@ -227,6 +227,17 @@ def test_what_is_unexplained_says_how_much(share: float, words: str) -> None:
     assert none.startswith("The simulation gets something wrong, and no cause known here")
 
 
+@pytest.mark.parametrize(("before", "after", "words"), [
+    (2.0, 0.8, "Re-fitting alone does 83 % of that, the causes the rest."), (20.0, 0.9, "does nearly all of that."),
+    (2.0, 1.0, "does all of that."), (0.9, 0.5, "does none of that."), (0.5, 0.9, "with the causes.")])
+def test_re_fittings_share_of_the_gain_is_told(before: float, after: float, words: str) -> None:
+    result = made.result()
+    refit = result.refitted("encoder")
+    gain = Gain(held_out=["a"], encoder=ChannelGain(nrmse_before=before * refit, nrmse_after=after * refit))
+    told = wording.beyond(replace(result, diagnosis=result.diagnosis.model_copy(update={"gain": gain})))
+    assert len(told) == 1 and told[0].endswith(words)
+
+
 def test_what_re_fitting_does_is_not_said_of_the_causes() -> None:
     result = made.result()
     refit = result.refitted("encoder")
