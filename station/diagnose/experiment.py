@@ -68,6 +68,13 @@ AGAIN = 0.5
 """What the worth of a test is multiplied by that was run already."""
 REFINED = (0.7, 1.4)
 """Amplitudes tried about the best test's, as factors."""
+FOLLOWS = 3.0
+"""Times its amplitude that a closed loop goes at most which follows, and share of it, inverse, in which it has calmed
+down at the end."""
+BEYOND_STEP, CALM = 0.3, 0.025
+"""And so much more, rad: what a small step may overshoot by, and what friction leaves."""
+LAST = 0.3
+"""Seconds at a step's end in which the loop must have calmed down."""
 PAST = 8
 """Runs whose part in what is known already is worked out, the longest."""
 PRIOR_REACH = 2.0
@@ -199,11 +206,12 @@ class Planner:
         if not (np.all(np.isfinite(forecast.mean)) and np.all(np.isfinite(forecast.spread))):
             return False
         farthest = np.max(np.abs(forecast.mean[0]))
-        if farthest > share * self.reach or trial.closed and farthest > 3.0 * trial.amplitude + 50.0:
+        slack, calm = np.array([BEYOND_STEP, CALM]) / self.rig.angle_per_count
+        if farthest > share * self.reach or trial.closed and farthest > FOLLOWS * trial.amplitude + slack:
             return False
         if trial.test["kind"] == "step":
-            end = forecast.mean[0, -round(0.3 * self.rig.sample_rate):]
-            return bool(np.ptp(end) < trial.amplitude / 3.0 + 4.0)
+            end = forecast.mean[0, -round(LAST * self.rig.sample_rate):]
+            return bool(np.ptp(end) < trial.amplitude / FOLLOWS + calm)
         return True
 
     def judged(self, trial: Trial, run: Run, forecast: Forecast, value: float, why: str, names: tuple[str, str],

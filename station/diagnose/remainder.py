@@ -28,13 +28,15 @@ class Remainder:
 
 
 SPAN = 25
-"""Samples."""
+"""Samples whose errors are summed: what a swing of some Hz leaves adds up, noise averages out."""
+SCATTER = 3.0
+"""Variance of a squared error in units of its mean squared: 2 of a Gaussian one, 3 of one whose kurtosis is 4."""
 
 
 def _size(squares: np.ndarray, independent: np.ndarray, freedoms: np.ndarray) -> np.ndarray:
     """z-scores of sums of squares, in units of the noise, of so many independent errors each; ``freedoms``: of the
     noise's estimate."""
-    return (squares / independent - 1.0) / np.sqrt(3.0 / independent + 3.0 / freedoms)
+    return (squares / independent - 1.0) / np.sqrt(SCATTER / independent + SCATTER / freedoms)
 
 
 def remainder(predictor: Predictor, found: Fit) -> Remainder:
@@ -57,7 +59,7 @@ def remainder(predictor: Predictor, found: Fit) -> Remainder:
         shares = share[:, :rows].reshape(len(e), -1, SPAN)
         expected = np.minimum(np.sqrt(shares).sum(axis=2) ** 2, np.count_nonzero(shares, axis=2))
         ratio = sums.sum(axis=1) - expected.sum(axis=1)
-        slow.append(ratio / np.sqrt(np.maximum(3.0 * np.sum(expected**2, axis=1), 1e-9)))
+        slow.append(ratio / np.sqrt(np.maximum(SCATTER * np.sum(expected**2, axis=1), 1e-9)))
     return Remainder(np.array(size), np.array(slow))
 
 

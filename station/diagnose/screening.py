@@ -134,7 +134,8 @@ def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
             found.append(freed(predictor, parent, candidate, *quadratic))
         elif candidate.effect.stage is Stage.CLOCK and clock is not None:
             ratio, error = clock
-            found.append(Screened(candidate, {"ratio": ratio}, ((ratio - 1.0) / error) ** 2, 1.0, error**-2))
+            found.append(Screened(candidate, {"ratio": ratio}, ((ratio - 1.0) / error) ** 2, 1.0,
+                                  max(abs(math.log(guess["ratio"])) for guess in candidate.guesses) ** 2 / error**2))
     found += _shared(parent, pool)
     rows = [row for row in rows if row.changes]
     return sorted(found, key=lambda s: -s.gain), _pairs(known, rows), _in_place(known, rows)

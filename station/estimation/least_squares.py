@@ -199,8 +199,8 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
     """Minimise the objective from ``x``; ``tolerance`` is the fall of it that ends the fit; ``to_the_end`` only if no
     more is expected, and with derivatives of where it ended.
 
-    Expected is the squared Newton decrement (Boyd and Vandenberghe, Convex Optimization, 2004, section 9.5): in a long
-    valley a damped step wins next to nothing wherever it is.
+    Expected is the squared Newton decrement (Boyd and Vandenberghe, Convex Optimization, 2004, section 9.5) of where
+    the last step began: in a long valley a damped step wins next to nothing wherever it is.
 
     ``runs`` (runs): weights, of which 0 leaves a run out; then the prior alone moves what it has of its own.
     ``jacobian`` (per run (p + c, b, n)) starts the quick way; where it leads no further the derivatives are computed

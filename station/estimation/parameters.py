@@ -173,7 +173,7 @@ class Parameters:
         for held, value in zip(self.held, x[self.parts["held"]], strict=True):
             own[held.effect] = own[held.effect].model_copy(update={held.name: held.value(value)})
         values = self.values(x)
-        effects = [cls.model_construct(None, at=at, **_ordered(values[cls.name, at]))
+        effects = [cls.model_construct(None, at=at, **cls.ordered(values[cls.name, at]))
                    for cls, at in self.hypothesis.effects]
         return rig.with_effects((*own, *effects)) if effects or self.held else rig
 
@@ -300,10 +300,3 @@ def _coordinate(cause: Key, name: str, info: ParameterInfo, value: float, usual:
         least = min((abs(u - origin) for u in usual if u != origin), default=1.0)
         scale = max(abs(value - origin), least if neutral is None else 1e-6 * least)
     return Coordinate(cause, name, info, log, scale, high, origin)
-
-
-def _ordered(values: dict[str, float]) -> dict[str, float]:
-    """Keep what a class demands of its parameters together (static_torque >= coulomb_torque)."""
-    if "static_torque" in values:
-        return {**values, "static_torque": max(values["static_torque"], values["coulomb_torque"])}
-    return values

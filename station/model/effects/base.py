@@ -189,6 +189,11 @@ class Effect(BaseModel):
                          for name, factor in factors.items()} for guess in cls.guesses(rig, at)]
 
     @classmethod
+    def ordered(cls, values: dict[str, float]) -> dict[str, float]:
+        """Values as a fit moves them, kept together as the class demands."""
+        return values
+
+    @classmethod
     def smaller(cls, guesses: Sequence[dict[str, float]], found: dict[str, float]) -> list[dict[str, float]]:
         """Those of the guesses that are larger than what was found, made as small."""
         sizes, smaller = cls._sizes(), []

@@ -36,6 +36,10 @@ class StribeckFriction(Effect):
         return self
 
     @classmethod
+    def ordered(cls, values):
+        return values | {"static_torque": max(values["static_torque"], values["coulomb_torque"])}
+
+    @classmethod
     def guesses(cls, rig, at):
         scale = torque_scale(rig)
         return [{"static_torque": 2.0 * share * scale, "coulomb_torque": share * scale, "stribeck_velocity": speed}
