@@ -8,12 +8,11 @@ from dataclasses import replace
 from station.diagnose.finding import Finding
 from station.diagnose.odds import Odds, is_beyond
 from station.diagnose.result import CHANNELS, RankedCause
-from station.diagnose.selection import Selection
-from station.diagnose.thresholds import LOG_PRIOR, LOG_PRIOR_PARAMETER, NOISE
+from station.diagnose.selection import Selection, log_prior
+from station.diagnose.thresholds import NOISE
 from station.diagnose.unseen import Unseen
 from station.diagnose.validation import standard_error, unseen_gain
-from station.estimation.cause import Causes, Key, is_constant
-from station.model.effects import effect_class
+from station.estimation.cause import Causes, Key
 from station.rig import Rig
 
 
@@ -40,10 +39,10 @@ def ranking(search: Selection, found: Odds, unseen: Unseen) -> list[RankedCause]
 def _placed(search: Selection, found: Odds, unseen: Unseen, row: RankedCause, holders: Sequence[Causes]) -> RankedCause:
     """A candidate with what it adds to its set, and why it is not named; ``holders``: the sets with it, smallest first.
     """
-    key, said = (row.effect, row.at), max(unseen.densities, key=len)
-    named = frozenset() if unseen.simulations[2] is unseen.simulations[1] else said
+    key, said, named = (row.effect, row.at), max(unseen.densities, key=len), unseen.left_out[0].key
     tried = named | {key} if named and named | {key} in search.fits else holders[0]
-    row = replace(row, adds=_added(search, tried, key), price=_price(key), stability=found.stability.get(key, 0.0))
+    row = replace(row, adds=_added(search, tried, key), price=-2.0 * log_prior(key),
+                  stability=found.stability.get(key, 0.0))
     if key in named:
         return row
     row = replace(row, beside_named=tried == named | {key} and bool(named))
@@ -65,12 +64,6 @@ def _added(search: Selection, keys: Causes, key: Key) -> float | None:
     if keys not in search.fits or keys - {key} not in search.fits:
         return None
     return 2.0 * (search.evidence(search.fits[keys]) - search.evidence(search.fits[keys - {key}]))
-
-
-def _price(key: Key) -> float:
-    """Twice the log odds beforehand against one further cause."""
-    further = 0 if is_constant(key[0]) else len(effect_class(key[0]).parameters()) - 1
-    return -2.0 * (LOG_PRIOR + LOG_PRIOR_PARAMETER * further)
 
 
 def notes(rig: Rig, search: Selection, finding: Finding, unseen: Unseen) -> list[str]:

@@ -22,7 +22,7 @@ from station.diagnose.remainder import ahead_is_noise, remainder
 from station.diagnose.screening import Screened, screen
 from station.diagnose.starts import Start, attempted, far_starts, rigid_starts
 from station.diagnose.thresholds import CLOSE, LOG_PRIOR, LOG_PRIOR_PARAMETER, WORTH_A_FIT
-from station.estimation.cause import Causes, Key, Sizes
+from station.estimation.cause import Causes, Key, Sizes, is_constant
 from station.estimation.constants import base_fit, in_step, settled
 from station.estimation.fitted import Fit, weighing_of
 from station.estimation.least_squares import FAR, fit, inherited
@@ -57,6 +57,12 @@ class Effort:
 
 EFFORTS = {"quick": Effort(tried=6, finished=2, pairs=1, exchanged=1, content=True, accuracies=(COARSE, SEARCH)),
            "full": Effort(tried=12, finished=4, pairs=3, exchanged=3, content=False, accuracies=(SEARCH, FINE))}
+
+
+def log_prior(cause: Key) -> float:
+    """Log prior odds of one further cause, with each further parameter of its law."""
+    further = 0 if is_constant(cause[0]) else len(effect_class(cause[0]).parameters()) - 1
+    return LOG_PRIOR + LOG_PRIOR_PARAMETER * further
 
 
 @dataclass
@@ -128,9 +134,7 @@ class Selection:
     def score(self, found: Fit) -> float:
         """Log posterior of a set of causes, up to a constant."""
         hypothesis = found.space.hypothesis
-        further = sum(len(cls.parameters()) - 1 for cls, _ in hypothesis.effects)
-        score = (self.evidence(found) + LOG_PRIOR * len(hypothesis.causes)
-                 + LOG_PRIOR_PARAMETER * further + self.clock_score(hypothesis))
+        score = self.evidence(found) + sum(map(log_prior, hypothesis.causes)) + self.clock_score(hypothesis)
         return score if np.isfinite(score) else -np.inf
 
     def scores(self, found: Fit, drawn: np.ndarray) -> np.ndarray:

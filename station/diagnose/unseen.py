@@ -59,7 +59,7 @@ def unseen(search: Selection, finding: Finding) -> Unseen:
     gains = densities[causes] - densities[frozenset()]
     relieved = (relief(alone, said) + search.clock_score(finding.fit.space.hypothesis)
                 - search.clock_score(nothing.space.hypothesis))
-    before, after = (simulate_unseen(predictor, fits) for fits in (unfitted, said))
+    before, after = simulate_unseen(predictor, unfitted), simulate_unseen(predictor, said) if causes else refit
     against = contradicted(gains, relieved) or missed_by_more(predictor.data, before, after)
     holding = said
     if against and not finding.left.is_noise:

@@ -20,14 +20,12 @@ from station.rig import PROFILE, Rig
 from station.runs.columns import place
 from station.runs.rollover import rollover, rollover_fault
 from station.runs.run import RATES, Run, RunMetadata
+from station.runs.ticks import CLOCKS
 
 SEGMENT = 1.0
 """Length of the stretches that are drawn again when data are resampled, s: longer than an arm's errors remember."""
 SEGMENTS = 40
 """Most stretches in all runs together; they grow longer instead."""
-CLOCK_BIAS = 1e-4
-"""Least standard error of a clock's ratio: two quartz clocks of 50 ppm each, in order, tick so far apart.  Receipt that
-is later at one end of a run than at the other feigns a fifth of it."""
 FINDS = 0.1
 """Horizon (s) of the observer that finds the state of a rig in motion.  Of a shorter one the base follows the encoder
 so stiffly that the beam's errors ring on as on a clamp; a longer one's base forgets late."""
@@ -64,8 +62,6 @@ class Record:
     """One run as an estimator sees it: n rows, c channels (encoder, accelerometer)."""
 
     run: Run
-    logged: np.ndarray
-    """(n) whether a row was logged; lost ones are simulated through and neither count nor correct."""
     window: np.ndarray
     """(n) whether a row counts."""
     measured: np.ndarray
@@ -82,6 +78,11 @@ class Record:
     """Number of the encoder's zero: runs of one share it."""
     segment: np.ndarray
     """(n) the number of each row's stretch, counted over all runs."""
+
+    @property
+    def logged(self) -> np.ndarray:
+        """(n) whether a row was logged; lost ones are simulated through and neither count nor correct."""
+        return self.run.logged
 
     @property
     def released(self) -> bool:
@@ -267,13 +268,13 @@ def _refuse_rollover(rig: Rig, run: Run) -> None:
 
 def _record(rig: Rig, run: Run, window: slice, noise: Sequence[float], zero_group: int, segment: np.ndarray) -> Record:
     """One run, its gaps filled, whose rows in a window count; ``noise`` of each channel, counts."""
-    channels, logged, warm, kept = len(noise), run.logged, _warm_rows(rig, run, noise), np.zeros(len(run), dtype=bool)
-    kept[window] = logged[window]
+    channels, warm, kept = len(noise), _warm_rows(rig, run, noise), np.zeros(len(run), dtype=bool)
+    kept[window] = run.logged[window]
     kept[:warm] = False
     readings = [run.encoder, run.accel][:channels]
     rest = len(run) if warm else max(rest_rows(run), 1)
     return Record(
-        run=run, logged=logged, window=kept, measured=np.stack(readings).astype(float),
+        run=run, window=kept, measured=np.stack(readings).astype(float),
         share=_shares(run, kept, noise[0])[:channels],
         start=float(np.mean(run.encoder[rest_start(run)])) * rig.angle_per_count,
         offset=float(np.mean(readings[1][:rest])) if channels > 1 else 0.0, warm=warm, zero_group=zero_group,
@@ -288,7 +289,7 @@ def first_seconds(data: Dataset, seconds: float) -> Dataset:
 
         def first(rows: np.ndarray) -> np.ndarray:
             return np.ascontiguousarray(rows[..., :end])
-        return replace(one, run=run.slice(0, end), logged=first(one.logged), window=first(one.window),
+        return replace(one, run=run.slice(0, end), window=first(one.window),
                        measured=first(one.measured), share=first(one.share), segment=first(one.segment))
     return replace(data, records=tuple(map(cut, data.records)))
 
@@ -321,7 +322,7 @@ def clock_evidence(runs: Sequence[Run]) -> tuple[float, float] | None:
     """True over nominal sample period and its standard error, by regression of host_time on device_time.
 
     None where no run has both; a simulated device's virtual time is no clock.  The error is taken from the scatter of
-    the residuals and, since receipt is never early, is not allowed below CLOCK_BIAS, however many runs there are.
+    the residuals and, since receipt is never early, is not allowed below CLOCKS, however many runs there are.
     """
     slopes, weights = [], []
     for run in runs:
@@ -331,7 +332,7 @@ def clock_evidence(runs: Sequence[Run]) -> tuple[float, float] | None:
         slope = float(x @ y / (x @ x))
         spread = float(np.std(y - slope * x)) / math.sqrt(float(x @ x))
         slopes.append(slope)
-        weights.append(max(spread, CLOCK_BIAS) ** -2)
+        weights.append(max(spread, CLOCKS) ** -2)
     if not slopes:
         return None
-    return float(np.average(slopes, weights=weights)), max(float(np.sum(weights)) ** -0.5, CLOCK_BIAS)
+    return float(np.average(slopes, weights=weights)), max(float(np.sum(weights)) ** -0.5, CLOCKS)

@@ -23,7 +23,7 @@ SINGLE = 0.4
 ENOUGH = 32
 """Rows from which on a straight line through stamps that jitter is one."""
 CLOCKS = 1e-4
-"""Share by which two quartz clocks may differ: a rate that is so near to a whole number of Hz is that."""
+"""Share by which two quartz clocks of 50 ppm each, in order, may differ: a rate so near to a whole number is that."""
 STAMPS = "t_logged"
 """Extra column of such a log: the stamps as they were."""
 

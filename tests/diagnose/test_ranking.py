@@ -38,8 +38,8 @@ def ranked(named: tuple, against: bool = False) -> dict[str, RankedCause]:
     likely = {PLAY: 0.99, RUBS: 0.99, LATE: 0.5, INPUT: 0.4, LAG: 0.1, DRAG: 0.05}
     said = Odds([(frozenset(map(key, (PLAY, RUBS, LATE))), 0.6)], {key(c): p for c, p in likely.items()}, 0.0,
                 {key(PLAY): 1.0, key(RUBS): 1.0, key(LATE): 0.55})
-    refit: list = []
-    unseen = SimpleNamespace(densities={keys: 0.0, frozenset(): 0.0}, simulations=([], refit, refit if against else []))
+    unseen = SimpleNamespace(densities={keys: 0.0, frozenset(): 0.0},
+                             left_out=[SimpleNamespace(key=frozenset() if against else keys)])
     return {row.effect: row for row in ranking(search, said, unseen)}
 
 

@@ -13,11 +13,11 @@ from station.diagnose.candidates import candidates
 from station.diagnose.screening import Screened
 from station.diagnose.selection import EFFORTS, Selection, _finish, _look_back, leading, taking_in
 from station.diagnose.thresholds import LOG_PRIOR, LOG_PRIOR_PARAMETER
-from station.estimation.dataset import CLOCK_BIAS
 from station.estimation.least_squares import fit
 from station.estimation.likelihood import Weighing
 from station.estimation.parameters import Hypothesis, clock_sigma, parameters
 from station.model.effects import effect_class
+from station.runs.ticks import CLOCKS
 from tests.estimation.made import AXIS, predictions, runs_of
 
 FRICTION, STRIBECK, CLOCK = ((effect_class(name), at) for name, at in (
@@ -35,7 +35,7 @@ def found(evidence: float, *effects: tuple, constants: tuple[str, ...] = (), nar
           lost: tuple[float, float] = (0.0, 0.0)) -> Found:
     """``lost``: what the evidence loses where runs are held alike in their share of the command, and in a constant."""
     hypothesis = Hypothesis(effects, constants)
-    made = Found(space=SimpleNamespace(hypothesis=hypothesis, zeros=0, known_zeros=1), key=hypothesis.key,
+    made = Found(space=SimpleNamespace(hypothesis=hypothesis), key=hypothesis.key,
                  log_evidence=lambda weighing: evidence - np.dot(lost, np.equal(weighing.differ, 0.0)),
                  log_evidences=lambda weighing, sizes, drawn: evidence - np.dot(lost, np.equal(sizes, 0.0)) - drawn,
                  most_likely_differ=lambda weighing, may: tuple(map(float, may)),
@@ -89,7 +89,7 @@ def test_clocks_that_disagree_speak_against_every_set_that_leaves_the_boards_clo
 @pytest.mark.parametrize(("ratio", "is_off"), [(1.0, False), (1.00008, False), (0.9997, False), (1.0007, True),
                                                (0.999, True), (1.02, True)])
 def test_two_clocks_that_tick_apart_as_quartz_clocks_do_are_both_right(ratio: float, is_off: bool) -> None:
-    search = searching((ratio, CLOCK_BIAS))
+    search = searching((ratio, CLOCKS))
     assert (search.score(found(0.0, CLOCK)) > search.score(found(0.0))) == is_off
 
 

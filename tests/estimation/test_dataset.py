@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from station.errors import WorkError
-from station.estimation.dataset import CLOCK_BIAS, SEGMENTS, WARM, canonical_order, dataset
+from station.estimation.dataset import SEGMENTS, WARM, canonical_order, dataset
 from station.model.effects import USUAL_SPEED
 from station.rig import load_rig
+from station.runs.ticks import CLOCKS
 from tests.cli.conftest import step_run
 from tests.estimation.made import AXIS, run_of, runs_of
 
@@ -108,7 +109,7 @@ def test_two_parts_of_one_run_are_one_test_of_noise_and_clock() -> None:
 def test_a_clock_is_no_surer_for_more_runs_than_its_bias() -> None:
     run = run_of(AXIS, 60.0, "p2", "x")
     runs = [replace(run, encoder=run.encoder + k, device_time=run.t, host_time=run.t + 3.0) for k in range(5)]
-    assert dataset(AXIS, runs).clock == (pytest.approx(1.0), CLOCK_BIAS)
+    assert dataset(AXIS, runs).clock == (pytest.approx(1.0), CLOCKS)
 
 
 def test_runs_of_which_one_lacks_the_accelerometer_are_refused() -> None:

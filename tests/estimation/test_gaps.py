@@ -54,7 +54,7 @@ def test_what_stands_in_a_gap_never_reaches_a_prediction():
         predictor = Predictor(data, observers(data.rig, data.noise[0]), Pool())
         space = parameters(data, Hypothesis(), {})
         found.append(predictor.runs(space, np.zeros(space.size), data.own)[0])
-    read = replace(data, records=tuple(replace(one, logged=np.ones_like(one.logged)) for one in data.records))
+    read = replace(data, records=tuple(replace(one, run=replace(one.run, extra={})) for one in data.records))
     heard = predictor.on(read).runs(space, np.zeros(space.size), data.own)[0]
     np.testing.assert_array_equal(found[0], found[1])
     assert np.abs(heard - found[0]).max() > 1.0
