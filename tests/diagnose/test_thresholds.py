@@ -7,7 +7,7 @@ from pathlib import Path
 
 from station.diagnose import thresholds
 
-PAGE = Path(__file__).parents[2] / "docs" / "diagnosis.md"
+PAGE = Path(__file__).parents[2] / "docs" / "method.md"
 
 
 def test_the_docs_state_every_threshold_with_its_value() -> None:
