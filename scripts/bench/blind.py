@@ -118,8 +118,8 @@ def pairs(items: Sequence[Cause], rng: np.random.Generator) -> Iterator[list[Cau
 
 def campaign(first_seed: int, effort: str, only: Sequence[str], chosen: Sequence[Cause],
              worlds: Sequence[float] = (0.0,), sized_in_world: bool = False, rig: str = "sflr",
-             known_controller: bool = True) -> Iterator[Task]:
-    """Cases without end, each in all worlds in turn."""
+             known_controller: bool = True, runs: int | None = None) -> Iterator[Task]:
+    """Cases without end, each in all worlds in turn; of so many ``runs``, by default five to eight."""
     rng = np.random.default_rng([first_seed, 0xB11D])
     singles = {band: [c for c in causes(band, RIGS[rig])[0] if not chosen or c in chosen] for band in BANDS}
     plain = [c for c in causes("clear", RIGS[rig])[0] if c != CLOCK and (":" not in c[0] or c[0] in PLAIN)]
@@ -132,7 +132,7 @@ def campaign(first_seed: int, effort: str, only: Sequence[str], chosen: Sequence
         band = {"clear": "clear", "subtle": "subtle", "pair": "clear"}.get(name)
         causes_of_case = next(hidden[name])
         for level in worlds:
-            yield blind_task(first_seed + i, causes_of_case, effort=effort, runs=None, band=band, group=name,
+            yield blind_task(first_seed + i, causes_of_case, effort=effort, runs=runs, band=band, group=name,
                              disturbance=level, sized_in_world=sized_in_world and level > 0.0, rig=rig,
                              known_controller=known_controller)
 
@@ -306,6 +306,7 @@ def main() -> int:
     parser.add_argument("--sized-in-world", action="store_true",
                         help="size what is hidden in an imperfect world by how plain it is there")
     parser.add_argument("--rig", choices=list(RIGS), default="sflr")
+    parser.add_argument("--runs", type=int, help="of each case; five to eight by default")
     parser.add_argument("--untold", action="store_true", help="the runs do not say what closed their loops")
     parser.add_argument("--sum-up", action="store_true", help="do nothing, sum up what is there")
     options = parser.parse_args()
@@ -315,7 +316,7 @@ def main() -> int:
         parser.error(f"--hidden: none of {', '.join(places)}")
     worlds = list(dict.fromkeys(options.disturbance))
     endless = campaign(options.first_seed, options.effort, options.only, [places[n] for n in names], worlds,
-                       options.sized_in_world, options.rig, not options.untold)
+                       options.sized_in_world, options.rig, not options.untold, options.runs)
     tasks = list(islice(endless, options.cases * len(worlds)))
     options.out.mkdir(parents=True, exist_ok=True)
     done = 0

@@ -21,7 +21,6 @@ from station.diagnose.result import Estimate
 from station.diagnose.selection import Selection
 from station.diagnose.thresholds import BEYOND, CLOSE, MENTION, OUTSIDE, VARIES
 from station.estimation.cause import Causes, Key, constant, constant_path, is_constant
-from station.estimation.dataset import SEVERAL
 from station.estimation.fitted import Fit
 from station.estimation.identifiability import NORMAL, parameter_states
 from station.estimation.noise import QUANTISATION
@@ -32,6 +31,8 @@ from station.model.units import UNITS
 RESAMPLES = 400
 """A probability of one half is then known to 0.025."""
 SEED = 20240229
+SEVERAL = 3
+"""Runs from which on their scatter widens an interval."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,11 +229,20 @@ def deviation(logs: np.ndarray, sigma: float, covariance: np.ndarray, i: int) ->
 
 
 def is_beyond(search: Selection, found: Fit, key: Key) -> bool:
-    """Whether a cause may be accused: any effect, and a constant beyond BEYOND of its own sigma."""
+    """Whether a cause may be accused: a constant beyond BEYOND of its own sigma, and an effect of which the runs say
+    that its sizes are such as it may have; at the largest they ask for another thing."""
     if not is_constant(key[0]):
-        return True
+        return possible(found, key)
     rig, path, paths = search.predictor.data.rig, constant_path(key[0]), found.space.paths
     return deviation(found.logs, rig.sigma(path), rig.log_covariance(list(paths)), paths.index(path)) > BEYOND
+
+
+def possible(found: Fit, key: Key) -> bool:
+    """Whether the 95 % intervals of an effect's sizes end below the largest that it may have (``Effect.largest``)."""
+    space, largest = found.space, effect_class(key[0]).largest(found.space.rig, key[1])
+    return all(coordinate.to_value(found.x[k] + NORMAL * math.sqrt(found.covariance[k, k])) < largest[coordinate.name]
+               for k, coordinate in enumerate(space.coordinates, space.parts["effects"].start)
+               if coordinate.cause == key and coordinate.name in largest)
 
 
 def estimates(found: Fit, rougher: Fit, left_out: Sequence[Fit],

@@ -21,7 +21,6 @@ import numpy as np
 from station.diagnose.candidates import Candidate
 from station.diagnose.linearised import Change, Linearised
 from station.estimation.cause import Key, Sizes
-from station.estimation.dataset import SEVERAL
 from station.estimation.fitted import Fit
 from station.estimation.least_squares import DIVERGED
 from station.estimation.parameters import parameters
@@ -148,7 +147,7 @@ def _shared(parent: Fit, pool: Sequence[Candidate]) -> list[Screened]:
     """
     constants = parent.own[:, 3]
     mean, gain = float(np.mean(constants)), shared(constants)
-    if len(constants) < SEVERAL or not math.isfinite(gain):
+    if not math.isfinite(gain):
         return []
     return [Screened(c, {"offset": mean}, gain, 1.0, 0.0, mean) for c in pool if c.key == BIAS]
 

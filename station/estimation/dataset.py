@@ -37,8 +37,6 @@ RIGIDITY = 0.03
 """Sigma of each harmonic of a beam's rigidity along its length, where the rig file says nothing: the cube of a
 thickness that varies by a percent (of cold rolled strip several are allowed: EN 10140), or a sensor's cable along it.
 """
-SEVERAL = 3
-"""Runs from which on they can tell how much they differ."""
 UNROUNDED = 0.3
 """Noise of an encoder, counts, from which on its rounding errors are independent from sample to sample (Widrow)."""
 
@@ -103,6 +101,8 @@ class Dataset:
     clock: tuple[float, float] | None
     segment_run: np.ndarray
     """(stretches) the run of each."""
+    tests: int
+    """How many tests these are: two parts of one log are one test."""
 
     @cached_property
     def runs(self) -> tuple[Run, ...]:
@@ -158,7 +158,7 @@ class Dataset:
     @cached_property
     def free(self) -> np.ndarray:
         """(c) the columns of ``own`` that a fit moves."""
-        return np.flatnonzero([True, self.has_accel, *[len(self.runs) >= SEVERAL] * 2])
+        return np.flatnonzero([True, self.has_accel, *[self.tests > 1] * 2])
 
     @cached_property
     def logs(self) -> Logs:
@@ -256,7 +256,7 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
         for run, window, zero, first, count
         in zip(runs, windows or [slice(None)] * len(runs), zero_ids, np.cumsum(parts) - parts, parts, strict=True))
     return Dataset(meshed, records, noise=noise.sigmas, noise_freedoms=noise.freedoms, clock=clock_evidence(tests),
-                   segment_run=np.repeat(np.arange(len(runs)), parts))
+                   segment_run=np.repeat(np.arange(len(runs)), parts), tests=len(tests))
 
 
 def _refuse_rollover(rig: Rig, run: Run) -> None:

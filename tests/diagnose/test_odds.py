@@ -19,6 +19,7 @@ from station.diagnose.odds import (
     in_order,
     normalised,
     odds,
+    possible,
     resamples,
     with_outside,
 )
@@ -42,7 +43,8 @@ class Searched:
     """A search whose sets score ``scores[set] . drawn``: by stretch, what a set is better by than no cause."""
 
     def __init__(self, scores: dict[Causes, np.ndarray], owner: np.ndarray) -> None:
-        self.fits = {keys: SimpleNamespace(key=keys, by_stretch=row) for keys, row in scores.items()}
+        space = SimpleNamespace(rig=AXIS, coordinates=(), parts={"effects": slice(0, 0)})
+        self.fits = {keys: SimpleNamespace(key=keys, space=space, by_stretch=row) for keys, row in scores.items()}
         self.predictor = SimpleNamespace(data=SimpleNamespace(segment_run=owner))
 
     def score(self, found: SimpleNamespace) -> float:
@@ -54,6 +56,18 @@ class Searched:
 
 def searched(scores: dict[Causes, np.ndarray], runs: int = 4, each: int = 5) -> Searched:
     return Searched(scores, np.repeat(np.arange(runs), each))
+
+
+@pytest.mark.parametrize(("share", "sigma", "accused"), [(0.8, 0.1, True), (0.8, 0.2, False), (1.0, 0.01, False),
+                                                          (3.0, 0.1, False)])
+def test_an_effect_that_may_have_to_be_larger_than_it_can_be_is_not_accused(share: float, sigma: float, accused: bool,
+                                                                            ) -> None:
+    key, data = ("encoder_eccentricity", "encoder"), dataset(AXIS, runs_of(AXIS))
+    largest = effect_class(key[0]).largest(AXIS, key[1])["amplitude"]
+    space = parameters(data, Hypothesis(((effect_class(key[0]), key[1]),)), {key: {"amplitude": 2.0, "phase": 0.0}})
+    x = space.carried(space, space.mean, {key: {"amplitude": share * largest, "phase": 0.0}})
+    found = SimpleNamespace(space=space, x=x, covariance=sigma**2 * np.eye(space.size))
+    assert possible(found, key) is accused
 
 
 def test_a_cause_has_the_probability_of_all_sets_that_hold_it() -> None:
