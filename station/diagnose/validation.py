@@ -214,12 +214,17 @@ def contradicted(gains: np.ndarray, relieved: float) -> bool:
 
 
 def missed_by_more(data: Dataset, before: Sequence[Simulation], after: Sequence[Simulation]) -> bool:
-    """Whether simulations miss the angles of all runs together by more than those before did: a rig that goes further
-    astray than its file does is no better, however well it predicts a little ahead."""
-    def squares(made: Sequence[Simulation]) -> float:
-        return sum(float(np.sum((record.measured[0] - one.encoder)[record.window] ** 2))
-                   for record, one in zip(data.records, made, strict=True))
-    return not squares(after) <= squares(before)       # what is no number is no better
+    """Whether simulations miss the angles of the runs by more than those before did, by the geometric mean over runs: a
+    rig that goes further astray than its file does is no better, however well it predicts a little ahead.
+
+    As errors of unknown size are counted (``likelihood.rho``): by the logarithm of their mean square, in units of the
+    noise.  In a sum of squares one run that asks more of the model than the others could tell decides alone.
+    """
+    def log_squares(made: Sequence[Simulation]) -> float:
+        errors = [(record.measured[0] - one.encoder)[record.window]
+                  for record, one in zip(data.records, made, strict=True)]
+        return sum(math.log1p(float(np.mean(np.square(e))) / data.sigma[0] ** 2) for e in errors if e.size)
+    return not log_squares(after) <= log_squares(before)       # what is no number is no better
 
 
 def gain(data: Dataset, comparisons: Sequence[RunComparison], after: Sequence[Simulation],

@@ -148,4 +148,12 @@ def test_a_rig_that_goes_further_astray_than_its_file_is_no_better(before: float
 
     def away(size: float) -> list[SimpleNamespace]:
         return [SimpleNamespace(encoder=np.where(rows > 0, size, 1e9 if size == after else 0.0))] * 2
-    assert missed_by_more(SimpleNamespace(records=[record] * 2), away(before), away(after)) == is_worse
+    data = SimpleNamespace(records=[record] * 2, sigma=np.array([0.3]))
+    assert missed_by_more(data, away(before), away(after)) == is_worse
+
+
+@pytest.mark.parametrize(("after", "is_worse"), [((1.0, 1.0, 90.0), False), ((9.0, 9.0, 90.0), True)])
+def test_one_run_that_asks_more_of_a_model_does_not_decide_alone(after: tuple[float, ...], is_worse: bool) -> None:
+    record = SimpleNamespace(measured=[np.zeros(10)], window=np.full(10, True))
+    before, made = ([SimpleNamespace(encoder=np.full(10, size)) for size in sizes] for sizes in ((10.0,) * 3, after))
+    assert missed_by_more(SimpleNamespace(records=[record] * 3, sigma=np.array([0.3])), before, made) == is_worse
