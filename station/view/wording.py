@@ -131,11 +131,6 @@ def place(at: str) -> str:
     return f"{'in' if at in _INSIDE else 'at'} the {at}"
 
 
-def titles(causes: Sequence[Cause | Rival | RankedCause], last: str = "and") -> str:
-    """Causes in words, joined: ``a``, ``a and b``, ``a, b and c``."""
-    return _and([cause_title(c.effect, c.at) for c in causes], last)
-
-
 def _and(words: Sequence[str], last: str = "and") -> str:
     """Words joined: ``a``, ``a and b``, ``a, b and c``."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
