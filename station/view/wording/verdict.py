@@ -1,0 +1,110 @@
+"""The verdict as a sentence: what is certain, and what is undecided between which."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from station.diagnose.thresholds import STABLE, SURE
+from station.estimation.cause import constant_path, is_constant
+from station.view.wording.names import LATENCY, cause_title, constant_title, joined
+from station.view.wording.numbers import number, percent, unit_of
+
+if TYPE_CHECKING:
+    from station.diagnose.result import Cause, Diagnosis
+    from station.rig import Rig
+
+SMALL = 0.01
+"""Share of the command's torque below which a missing one is called little: what a motor does from one test to the next
+differs by as much."""
+
+
+def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
+    """The verdict for a student: one plain sentence, or two where something is certain and something is not."""
+    causes = diagnosis.causes
+    if diagnosis.verdict in ("explained", "partly_explained") and causes:
+        fraction = diagnosis.gain.explained_fraction
+        closer = ("it comes closer on the whole, but" if fraction is None or fraction > 0.0 else
+                  "its predictions come closer, whole runs do not, and")
+        ends = {"explained": "only noise and the rig's stated uncertainty remain",
+                "partly_explained": f"{closer} more than noise remains"}
+        return f"The simulation {_accusation(causes, rig)}; with that put right, {ends[diagnosis.verdict]}."
+    if diagnosis.verdict == "ambiguous" and causes:
+        return _ambiguous(diagnosis, rig)
+    if diagnosis.verdict == "unexplained" and diagnosis.disturbance is not None:
+        return _unexplained(diagnosis.disturbance.refitted)
+    return {"unexplained": "The simulation gets something wrong, and no cause known here is named by most resamples "
+                           "of these runs and helps on runs that no fit has seen.",
+            "nothing_missing": "Nothing is missing: the simulation agrees with these runs to within noise and "
+                               "the rig's stated uncertainty.",
+            "not_enough_data": "These runs are not enough: most effects would not have shown in them.",
+            }.get(diagnosis.verdict, "The simulation gets something wrong that these runs do not settle.")
+
+
+def _accusation(causes: Sequence[Cause], rig: Rig) -> str:
+    effects = [c for c in causes if not is_constant(c.effect)]
+    constants = [c for c in causes if is_constant(c.effect)]
+    parts = []
+    if effects:
+        parts.append(f"leaves out {joined(list(map(_told, effects)))}")
+    if constants:
+        nominal = rig.constants()
+        words = []
+        for cause in constants:
+            path, estimate = constant_path(cause.effect), cause.parameters.get("value")
+            values = ""
+            if estimate is not None and path in nominal:
+                stated = f"{number(nominal[path])} {unit_of(estimate)}".rstrip()
+                values = f" ({stated} where these runs say {number(estimate.value)})"
+            words.append(f"a wrong {constant_title(path)}{values}")
+        parts.append(f"has {' and '.join(words)}")
+    return " and ".join(parts)
+
+
+def _unexplained(missing: float) -> str:
+    """``missing``: torque, a share of the command's, that the re-fitted rig lacks."""
+    share = f"a torque of {percent(missing)} of the command's"
+    if missing < SMALL:
+        return ("The simulation gets something wrong, but little: with its constants re-fitted all that is left is "
+                f"{share}, which no law of the catalogue describes.")
+    return (f"The simulation gets something wrong: with its constants re-fitted {share} is still missing, and no cause "
+            "known here is named by most resamples of these runs and helps on runs that no fit has seen.")
+
+
+def _ambiguous(diagnosis: Diagnosis, rig: Rig) -> str:
+    """What is certain, then what is undecided between which."""
+    causes, sure = diagnosis.causes, SURE * (1.0 - diagnosis.outside)
+    undecided = [c for c in causes if c.stability < STABLE or c.probability < sure]
+    late = any(c.effect == LATENCY for c in causes)
+    if not undecided and not late:
+        undecided = [max(causes, key=lambda c: sum(r.probability for r in c.rivals))]
+    certain = [c for c in causes if c not in undecided]
+    parts = [f"The simulation {_accusation(certain, rig)}."] if certain else []
+    begin = "Something more is wrong" if certain else "The simulation gets something wrong"
+    choices = [_choice(c, certain) for c in undecided]
+    if any(len(choice) > 1 for choice in choices):
+        pairs = ", nor ".join(f"whether it is {joined(choice, 'or')}" for choice in choices if len(choice) > 1)
+        parts.append(f"{begin}, but these runs cannot tell {pairs}.")
+    elif undecided:
+        parts.append(f"{begin}; {joined([choice[0] for choice in choices])} would explain it, but these runs cannot "
+                     "settle it.")
+    else:
+        parts.append("These runs cannot tell whether that latency stands at the encoder or at the input.")
+    return " ".join(parts)
+
+
+def _choice(cause: Cause, certain: Sequence[Cause]) -> list[str]:
+    """A cause that is undecided and at most two rivals that count beside it, in words."""
+    sure = {(c.effect, c.at) for c in certain}
+    rivals = [r for r in cause.rivals if (r.effect, r.at) not in sure]
+    close = [r for r in rivals if r.probability >= 0.1 * cause.probability] or rivals[:1]
+    return [_told(cause), *(cause_title(r.effect, r.at) for r in close[:2])]
+
+
+def _told(cause: Cause) -> str:
+    """A cause for a headline: a latency with its size."""
+    title = cause_title(cause.effect, cause.at)
+    if cause.effect != LATENCY:
+        return title
+    milliseconds = number(1e3 * cause.parameters["time"].value, 2)
+    return f"a {title.replace('latency', f'latency of {milliseconds} ms', 1)}"
