@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 from station.diagnose.finding import Finding
 from station.diagnose.odds import Odds, is_beyond
-from station.diagnose.result import CHANNELS, RankedCause
+from station.diagnose.result import CHANNELS, RankedCause, Reason
 from station.diagnose.selection import Selection, log_prior
 from station.diagnose.thresholds import NOISE
 from station.diagnose.unseen import Unseen
@@ -15,55 +14,84 @@ from station.diagnose.validation import standard_error, unseen_gain
 from station.estimation.cause import Causes, Key
 from station.rig import Rig
 
+CLEAR = 4.0
+"""Twice the log of odds or likelihoods from which on one cause is said to do better than another: two sigma."""
+EVEN = 0.5
+"""Probability above which a cause that is not named may be there as well."""
+COUNTS = 0.1
+"""Probability above which a cause that explains as much as the first is called as good."""
+
 
 def ranking(search: Selection, found: Odds, unseen: Unseen) -> list[RankedCause]:
     """Every cause that was fitted, by probability, then by how much it bought alone."""
-    nothing, densities = search.fits[frozenset()], unseen.densities
-    rows = []
-    for key in dict.fromkeys([*(key for keys in sorted(search.fits, key=sorted) if len(keys) == 1 for key in keys),
-                              *sorted(found.causes)]):
-        holders = sorted((k for k in search.fits if key in k), key=lambda k: (len(k), -search.score(search.fits[k])))
-        row = RankedCause(key[0], key[1], found.causes.get(key, 0.0), 0.0, None, "by an equivalence")
-        if holders:
-            keys, fitted = holders[0], search.fits[holders[0]]
-            gained = (unseen_gain(search.compared, densities[keys] - densities[frozenset()])
-                      if keys in densities else None)
-            row = replace(row, delta_chi2=2.0 * (search.evidence(fitted) - search.evidence(nothing)),
-                          held_out_gain=gained,
-                          note="" if len(keys) == 1 else f"as part of {fitted.space.hypothesis.label}")
-            row = _placed(search, found, unseen, row, holders)
-        rows.append(row)
-    return sorted(rows, key=lambda r: (-round(r.probability, 6), -r.delta_chi2))
+    alone = [key for keys in sorted(search.fits, key=sorted) if len(keys) == 1 for key in keys]
+    rows = [_row(search, found, unseen, key) for key in dict.fromkeys([*alone, *sorted(found.causes)])]
+    rows.sort(key=lambda row: (-round(row.probability, 6), -row.delta_chi2))
+    return [replace(row, reason=_reason(search, found, unseen, row, rows[0])) for row in rows]
 
 
-def _placed(search: Selection, found: Odds, unseen: Unseen, row: RankedCause, holders: Sequence[Causes]) -> RankedCause:
-    """A candidate with what it adds to its set, and why it is not named; ``holders``: the sets with it, smallest first.
-    """
-    key, said, named = (row.effect, row.at), max(unseen.densities, key=len), unseen.left_out[0].key
-    tried = named | {key} if named and named | {key} in search.fits else holders[0]
-    row = replace(row, adds=_added(search, tried, key), price=-2.0 * log_prior(key),
-                  stability=found.stability.get(key, 0.0))
+def _row(search: Selection, found: Odds, unseen: Unseen, key: Key) -> RankedCause:
+    """A candidate with what the smallest set with it buys; why it stands where it does hangs on the others."""
+    keys, densities = _smallest(search, key), unseen.densities
+    gained = unseen_gain(search.compared, densities[keys] - densities[frozenset()]) if keys in densities else None
+    note = ("by an equivalence" if keys not in search.fits else "" if len(keys) == 1 else
+            f"as part of {search.fits[keys].space.hypothesis.label}")
+    return RankedCause(*key, found.causes.get(key, 0.0), _bought(search, keys, frozenset()) or 0.0, gained, note,
+                       found.stability.get(key, 0.0))
+
+
+def _reason(search: Selection, found: Odds, unseen: Unseen, row: RankedCause, first: RankedCause) -> Reason:
+    """Why a candidate stands where it does; ``first``: the one that leads."""
+    key, named = (row.effect, row.at), unseen.left_out[0].key
+    keys, tried = _smallest(search, key), row.note
+    if named and named | {key} in search.fits:
+        keys, tried = named | {key}, "beside the causes named"
+    adds, price, less = _bought(search, keys, keys - {key}), -2.0 * log_prior(key), first.delta_chi2 - row.delta_chi2
     if key in named:
-        return row
-    row = replace(row, beside_named=tried == named | {key} and bool(named))
-    best = max((search.fits[keys] for keys in holders), key=search.score)
-    reference = search.fits.get(named) or search.best()
-    instead = {one for one in named if one[0] == row.effect} or (reference.key - best.key if named else frozenset())
-    row = replace(row, behind=2.0 * (search.score(reference) - search.score(best)))
-    if key in said:
-        return replace(row, lost="left_out")
-    if not is_beyond(search, best, key):
-        return replace(row, lost="within")
-    if key in found.sets[0][0] or row.behind < 0.0:
-        return replace(row, lost="resamples")
-    return replace(row, lost="another", instead=tuple(sorted(instead))) if instead else row
+        return Reason("named", adds=adds if len(named) > 1 else None)
+    lost = _lost(search, found, unseen, key)
+    if not lost and row is first:
+        return Reason("leads")
+    if not lost and row.probability > EVEN:
+        return Reason("likely")
+    little = Reason("too_little", price, adds=adds) if adds is not None and adds < price else None
+    if tried:
+        return replace(little or lost or Reason("open"), tried=tried, adds=adds)
+    if lost and (len(lost.instead) < 2 or first.note):
+        return lost
+    if less > CLEAR and not first.note:
+        return Reason("explains_less", less)
+    return little or Reason("as_good" if row.probability > COUNTS else "no_better")
 
 
-def _added(search: Selection, keys: Causes, key: Key) -> float | None:
-    """Twice what a cause adds to the log evidence of a set without it; None where one of the two was not fitted."""
-    if keys not in search.fits or keys - {key} not in search.fits:
+def _lost(search: Selection, found: Odds, unseen: Unseen, key: Key) -> Reason | None:
+    """Why a cause is not named though it may add enough; None where nothing says."""
+    named, holders = unseen.left_out[0].key, [fit for keys, fit in search.fits.items() if key in keys]
+    if not holders:
         return None
-    return 2.0 * (search.evidence(search.fits[keys]) - search.evidence(search.fits[keys - {key}]))
+    best = max(holders, key=search.score)
+    if key in max(unseen.densities, key=len):
+        return Reason("left_out")
+    if not is_beyond(search, best, key):
+        return Reason("within")
+    behind = 2.0 * (search.score(search.fits[named]) - search.score(best))
+    if key in found.sets[0][0] or behind < 0.0:
+        return Reason("resamples", found.stability.get(key, 0.0))
+    instead = {one for one in named if one[0] == key[0]} or named - best.key
+    return Reason("beaten" if behind > CLEAR else "matched", instead=tuple(sorted(instead))) if instead else None
+
+
+def _smallest(search: Selection, key: Key) -> Causes:
+    """The smallest set with a cause, of several the best; the cause alone where none was fitted."""
+    return min((keys for keys in search.fits if key in keys), default=frozenset([key]),
+               key=lambda keys: (len(keys), -search.score(search.fits[keys])))
+
+
+def _bought(search: Selection, keys: Causes, without: Causes) -> float | None:
+    """Twice what a set adds to the log evidence of one with less; None where one of the two was not fitted."""
+    if not {keys, without} <= search.fits.keys():
+        return None
+    return 2.0 * (search.evidence(search.fits[keys]) - search.evidence(search.fits[without]))
 
 
 def notes(rig: Rig, search: Selection, finding: Finding, unseen: Unseen) -> list[str]:

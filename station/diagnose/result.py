@@ -241,6 +241,25 @@ class RunComparison:
 
 
 @dataclass(frozen=True)
+class Reason:
+    """What decides where a candidate stands, with the numbers that are told of it."""
+
+    kind: Literal["named", "leads", "likely", "too_little", "left_out", "within", "resamples", "beaten", "matched",
+                  "explains_less", "as_good", "no_better", "open"]
+    """It is named; it leads the ranking, or is likely, and is not named; adds less than it must; runs left out speak
+    against it; it is a constant within its stated uncertainty; too few resamples name it; others in its place do
+    better, or as well; it explains less than the first, is as good, or no better; nothing says."""
+    value: float = 0.0
+    """What it must add, the share of resamples that name it, or by how much less of 2 ln L it explains."""
+    instead: tuple[tuple[str, str], ...] = ()
+    """The others in its place."""
+    tried: str = ""
+    """Beside what it was tried, in words, where that is told."""
+    adds: float | None = None
+    """Twice what it adds to the log evidence there, where that is told and both were fitted."""
+
+
+@dataclass(frozen=True)
 class RankedCause:
     """One candidate and why it stands where it does."""
 
@@ -252,22 +271,9 @@ class RankedCause:
     held_out_gain: float | None
     """Share of the re-fitted rig's error on unseen runs that it takes away, by fits that left them out."""
     note: str = ""
-    adds: float | None = None
-    """Twice what it adds to the log evidence of its set without it; None where that was not fitted.  Its set is the one
-    that is named, where it is named or that set was fitted with it, else its note's."""
-    price: float = 0.0
-    """What it must add to be worth its odds beforehand, in the same measure."""
-    beside_named: bool = False
-    """Whether it is not named, and what it adds is beside the causes that are."""
-    lost: Literal["", "resamples", "left_out", "within", "another"] = ""
-    """Why it is not named though it may add enough: too few resamples name it; runs left out speak against it; a
-    constant within its stated uncertainty; another in its place."""
     stability: float = 0.0
     """Share of resamples of the data in which it is named."""
-    instead: tuple[tuple[str, str], ...] = ()
-    """What the set that is named has in its place."""
-    behind: float = 0.0
-    """Twice the log odds of that set against the best one that holds the candidate."""
+    reason: Reason = Reason("open")
 
 
 @dataclass(frozen=True)

@@ -120,6 +120,7 @@ def test_verdict_causes_and_rivals_agree(diagnoses, name):
     assert probabilities == sorted(probabilities, reverse=True)
     listed = [(cause.effect, cause.at) for cause in said.causes]
     assert len(set(listed)) == len(listed)
+    assert {(row.effect, row.at) for row in result.ranking if row.reason.kind == "named"} == set(listed)
     for cause in said.causes:
         rivals = [(rival.effect, rival.at) for rival in cause.rivals]
         assert len(set(rivals)) == len(rivals) and not set(rivals) & set(listed)

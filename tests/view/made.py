@@ -20,6 +20,7 @@ from station.diagnose.result import (
     NextExperiment,
     Prediction,
     RankedCause,
+    Reason,
     Rival,
     RunComparison,
     RunFile,
@@ -169,12 +170,13 @@ def result(verdict: str = "explained", rig: Rig | None = None, runs: int = 5) ->
             test={"kind": "pulse", "amplitude": 25, "duration": 2.0},
             why="At small commands friction sticks and a dead zone does not move at all; they differ by 31 counts."))
     ranking = [
-        RankedCause("coulomb_friction", "motor", 0.982, 8123.0, 0.41),
-        RankedCause("stribeck_friction", "motor", 0.014, 8124.5, 0.40, "no better, with two parameters more"),
-        RankedCause("dead_zone", "amplifier", 0.003, 6120.0, 0.22),
-        RankedCause("quadratic_drag", "base", 2e-6, 811.0, 0.04),
-        RankedCause("parameter:tip.mass", "", 1e-9, 230.0, -0.03),
-        RankedCause("input_delay", "amplifier", 0.0, 12.0, -0.01)]
+        RankedCause("coulomb_friction", "motor", 0.982, 8123.0, 0.41, reason=Reason("named" if named else "leads")),
+        RankedCause("stribeck_friction", "motor", 0.014, 8124.5, 0.40, "no better, with two parameters more",
+                    reason=Reason("open", tried="no better, with two parameters more")),
+        RankedCause("dead_zone", "amplifier", 0.003, 6120.0, 0.22, reason=Reason("explains_less", 2003.0)),
+        RankedCause("quadratic_drag", "base", 2e-6, 811.0, 0.04, reason=Reason("explains_less", 7312.0)),
+        RankedCause("parameter:tip.mass", "", 1e-9, 230.0, -0.03, reason=Reason("left_out")),
+        RankedCause("input_delay", "amplifier", 0.0, 12.0, -0.01, reason=Reason("left_out"))]
     constants = {path: Estimate(value=v * 1.04, low=v * 0.97, high=v * 1.11, unit="",
                                 state="determined" if i % 4 else "traded_off")
                  for i, (path, v) in enumerate(rig.constants().items())}
@@ -199,7 +201,8 @@ def hostile() -> DiagnosisResult:
     diagnosis = full.diagnosis.model_copy(update={
         "wrong": wrong, "causes": causes, "next_experiment": NextExperiment(test={"kind": HOSTILE}, why=HOSTILE)})
     evidence = [replace(e, title=HOSTILE, xlabel=HOSTILE, ylabel=HOSTILE, note=HOSTILE) for e in full.evidence]
-    ranking = [RankedCause(HOSTILE, HOSTILE, 0.9, 1.0, None, HOSTILE)]
+    ranking = [RankedCause(HOSTILE, HOSTILE, 0.9, 1.0, None, HOSTILE,
+                           reason=Reason("beaten", instead=((HOSTILE, HOSTILE),), tried=HOSTILE))]
     rig = full.rig.model_copy(update={"name": HOSTILE[:100]})
     return replace(full, diagnosis=diagnosis, comparisons=comparisons, draw=lambda: evidence, ranking=ranking, rig=rig,
                    extended_rig=rig, notes=[HOSTILE])

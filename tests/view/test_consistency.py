@@ -19,6 +19,7 @@ from station.diagnose.result import (
     Estimate,
     NextExperiment,
     RankedCause,
+    Reason,
     Rival,
 )
 from station.diagnose.thresholds import OUTSIDE, STABLE
@@ -79,11 +80,13 @@ def results(draw: st.DrawFn) -> DiagnosisResult:
     gain = base.diagnosis.gain.model_copy(update={
         "explained_fraction": draw(fractions),
         "encoder": ChannelGain(nrmse_before=before, nrmse_after=after if named else before)})
-    ranking = [RankedCause(c.effect, c.at, c.probability, 100.0, draw(st.sampled_from([None, -0.1, 0.2])))
-               for c in causes]
-    ranking += [RankedCause("quadratic_drag", "base", draw(shares), 90.0, draw(st.sampled_from([None, -0.1]))),
-                RankedCause("torque_ripple", "motor", 0.01, 101.0, None, draw(st.sampled_from(
-                    ["", "by an equivalence", "as part of coulomb_friction@motor + torque_ripple@motor"])))]
+    ranking = [RankedCause(c.effect, c.at, c.probability, 100.0, draw(st.sampled_from([None, -0.1, 0.2])),
+                           reason=Reason("named")) for c in causes]
+    tried = draw(st.sampled_from(["", "by an equivalence", "as part of coulomb_friction@motor + torque_ripple@motor"]))
+    ranking += [RankedCause("quadratic_drag", "base", draw(shares), 90.0, draw(st.sampled_from([None, -0.1])),
+                            reason=Reason(draw(st.sampled_from(["likely" if causes else "leads", "left_out",
+                                                                "explains_less", "no_better"])), 10.0)),
+                RankedCause("torque_ripple", "motor", 0.01, 101.0, None, tried, reason=Reason("open", tried=tried))]
     missing = draw(st.sampled_from([None, Disturbance(nominal=0.3, refitted=0.2, extended=0.1)]))
     notes = ["step-kp2: encoder is left with more than noise over the whole run"] * bool(outside)
     diagnosis = base.diagnosis.model_copy(update={"causes": causes, "outside": outside, "gain": gain,

@@ -19,6 +19,7 @@ from station.diagnose.result import (
     Estimate,
     Gain,
     RankedCause,
+    Reason,
     Rival,
     Wrong,
 )
@@ -65,20 +66,17 @@ def test_notes_of_the_diagnosis_name_causes_by_their_titles() -> None:
 
 
 def test_what_is_tried_beside_others_says_what_it_adds() -> None:
-    first = RankedCause("backlash", "drive", 0.99, 500.0, 0.4)
-    rival = RankedCause("dead_zone", "amplifier", 0.1, 3956.0, None, "as part of backlash@drive + dead_zone@amplifier",
-                        price=8.8)
     title = "as part of backlash in the drive + dead zone in the amplifier"
 
-    def said(**facts: Any) -> str:
-        return wording.why_lost(replace(rival, **facts), first, False)
+    def said(kind: str = "open", value: float = 0.0, adds: float | None = None) -> str:
+        return wording.why(Reason(kind, value, tried="as part of backlash@drive + dead_zone@amplifier", adds=adds))
     assert said() == title, "nothing is known of what it adds"
-    assert said(adds=0.3) == f"{title}: adds nothing to 2 Δln L"
-    assert said(adds=6.0) == f"{title}: adds 6.00 to 2 Δln L, too little (it must add 8.8)"
+    assert said("too_little", 8.8, 0.3) == f"{title}: adds nothing to 2 Δln L"
+    assert said("too_little", 8.8, 6.0) == f"{title}: adds 6.00 to 2 Δln L, too little (it must add 8.8)"
     assert said(adds=52.8) == f"{title}: adds 52.8 to 2 Δln L"
-    assert said(adds=52.8, lost="within") == \
+    assert said("within", adds=52.8) == \
         f"{title}: adds 52.8 to 2 Δln L; a value within the rig's stated uncertainty does as well"
-    assert said(probability=0.6) == "may be there as well, but too few resamples name it"
+    assert said("resamples") == f"{title}; no resample names it"
 
 
 def test_a_test_is_told_with_six_digits() -> None:
@@ -120,12 +118,13 @@ def test_a_settling_that_never_comes_says_so() -> None:
     assert wording.measure(item) == ("angle settling time", "never", "1.25 s")
 
 
-def test_a_candidate_without_a_note_loses_by_its_numbers() -> None:
-    first = RankedCause("a", "motor", 0.9, 500.0, 0.4)
-    assert "does not help" in wording.why_lost(RankedCause("b", "motor", 0.01, 400.0, -0.1), first, False)
-    assert "100 below" in wording.why_lost(RankedCause("b", "motor", 0.01, 400.0, 0.1), first, False)
-    assert wording.why_lost(first, first, True) == "named as a cause"
-    assert "too few resamples name it" in wording.why_lost(first, first, False)
+def test_what_stands_in_a_candidates_place_is_named() -> None:
+    one, two, three = ("backlash", "drive"), ("encoder_delay", "encoder"), ("parameter:tip.mass", "")
+    assert wording.why(Reason("beaten", instead=(one,))) == "backlash in the drive in its place does better"
+    assert wording.why(Reason("matched", instead=(one, two))) == \
+        "backlash in the drive and encoder delay in its place do as well"
+    assert wording.why(Reason("matched", instead=(one, two, three))) == \
+        "backlash in the drive, encoder delay and wrong tip mass in its place do as well"
 
 
 def test_the_terminal_shows_hostile_names_as_text() -> None:

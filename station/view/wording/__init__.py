@@ -17,7 +17,7 @@ from station.view.wording.names import (
 )
 from station.view.wording.numbers import decimal, interval, number, percent, probability, resamples, unit_of
 from station.view.wording.odds import outside_sentence, rest_sentence
-from station.view.wording.ranking import ranked, why_lost
+from station.view.wording.ranking import ranked, why
 from station.view.wording.remains import disturbance, remains_sentence, residual_words
 from station.view.wording.runs import between_runs, differences
 from station.view.wording.verdict import verdict_sentence
@@ -27,4 +27,4 @@ __all__ = ["CHANNELS", "STATES", "VERDICTS", "ahead_times", "any_step", "as_told
            "cause_title", "constant_title", "decimal", "differences", "disturbance", "fact", "gain_rows", "gone",
            "interval", "measure", "next_test", "no_test", "number", "outside_sentence", "percent", "plain",
            "probability", "ranked", "remains_sentence", "resamples", "residual_words", "rest_sentence", "run_command",
-           "sentence", "step_words", "test_words", "unit_of", "verdict_sentence", "why_lost"]
+           "sentence", "step_words", "test_words", "unit_of", "verdict_sentence", "why"]

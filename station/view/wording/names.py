@@ -44,7 +44,7 @@ def place(at: str) -> str:
 
 def joined(words: Sequence[str], last: str = "and") -> str:
     """Words joined: ``a``, ``a and b``, ``a, b and c``."""
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
+    return f" {last} ".join(filter(None, (", ".join(words[:-1]), *words[-1:])))
 
 
 def plain(text: str) -> str:
