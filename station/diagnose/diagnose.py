@@ -35,7 +35,7 @@ from station.rig import Rig
 from station.runs.run import Run
 
 if TYPE_CHECKING:
-    from station.pictures.evidence import Evidence
+    from station.pictures.picture import Evidence
 
 
 def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",

@@ -18,7 +18,7 @@ from station.rig import Rig
 from station.runs.run import Run
 
 if TYPE_CHECKING:
-    from station.pictures.evidence import Evidence
+    from station.pictures.picture import Evidence
 
 Channel = Literal["encoder", "accel"]
 CHANNELS: tuple[Channel, ...] = ("encoder", "accel")

@@ -15,7 +15,7 @@ from scipy import signal
 
 from station.diagnose.result import DiagnosisResult, Prediction, RunComparison
 from station.model.simulate import Simulation
-from station.pictures.evidence import Evidence
+from station.pictures.picture import Evidence
 from station.view.labels import place_labels
 from station.view.residuals import Residual
 from station.view.wording import CHANNELS, plain

@@ -18,7 +18,7 @@ import station
 from station.diagnose.odds import RESAMPLES, SEED
 from station.diagnose.result import DiagnosisResult, Estimate, RunComparison
 from station.diagnose.thresholds import STABLE
-from station.pictures.evidence import Evidence
+from station.pictures.picture import Evidence
 from station.view import figures, wording
 from station.view.html import render, write_page
 from station.view.residuals import residuals

@@ -8,7 +8,8 @@ import pytest
 
 from station.model.effects import Effect, Stage, catalogue, effect_class
 from station.model.effects.base import parameter
-from station.pictures.evidence import POINTS, Evidence, evidence
+from station.pictures.evidence import evidence
+from station.pictures.picture import POINTS, Evidence
 from station.rig import Rig, load_rig
 from station.runs.run import Run, RunMetadata
 from tests.truth import (

@@ -30,7 +30,7 @@ from station.diagnose.result import (
 from station.diagnose.thresholds import OUTSIDE
 from station.model.effects import effect_class
 from station.model.simulate import Simulation
-from station.pictures.evidence import Evidence
+from station.pictures.picture import Evidence
 from station.rig import Rig, load_rig
 from station.runs.run import Run, RunMetadata
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from station.pictures.evidence import Evidence
+from station.pictures.picture import Evidence
 from station.view import figures, remaining
 from station.view.labels import place_labels
 from tests.view import made

@@ -21,7 +21,7 @@ from rich.console import Console
 from station.diagnose.odds import SEED
 from station.diagnose.result import BetweenRuns, Diagnosis, Estimate, Gain, OwnOfRun, Wrong
 from station.errors import WorkError
-from station.pictures.evidence import Evidence
+from station.pictures.picture import Evidence
 from station.view import wording
 from station.view.html import PLOTLY
 from station.view.report import SECTIONS, report_html, write_report
