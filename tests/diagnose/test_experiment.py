@@ -10,19 +10,12 @@ import pytest
 from station.control.compensators import Compensator
 from station.control.named import NAMED
 from station.control.references import reference_from_test
-from station.diagnose.experiment import (
-    Belief,
-    Planner,
-    Worth,
-    _telling,
-    absorbed,
-    between,
-    first_test,
-    showing,
-    told,
-    visible,
-)
+from station.diagnose.experiment import _telling, first_test
+from station.diagnose.forecasts import Belief, absorbed
+from station.diagnose.planner import Planner, Worth
 from station.diagnose.result import Prediction
+from station.diagnose.separating import between
+from station.diagnose.showing import showing, told, visible
 from station.diagnose.thresholds import VISIBLE
 from station.diagnose.trials import LEAD, OPEN, P, Trial, trials
 from station.estimation.pool import Pool
