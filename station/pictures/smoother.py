@@ -45,8 +45,8 @@ def likeliest(system: System, scale: float, excess: np.ndarray, forcing: np.ndar
               factors: Sequence[float]) -> tuple[System, float, float]:
     """The random walk's step and the accelerometer's mistrust of greatest likelihood; the system with that mistrust.
 
-    Steps: a grid over four decades, refined by golden section.  Mistrust: ``factors`` in turn while the likelihood
-    grows.
+    Steps: a grid over four decades, refined by Brent's method beside the best.  Mistrust: ``factors`` in turn while
+    the likelihood grows.
     """
     first, grid, before = system.process(scale), np.log(SIZES * scale), math.inf
 
