@@ -42,6 +42,10 @@ BEYOND_STEP, CALM = 0.3, 0.025
 """And so much more, rad: what a small step may overshoot by, and what friction leaves."""
 LAST = 0.3
 """Seconds at a step's end in which the loop must have calmed down."""
+LONG = 4.0
+"""Seconds: so long a test costs as much as one that takes the arm a turn, or holds the command at its limit."""
+ASIDE = 0.4
+"""Counts by which a start is moved to either side, so that a loop's readings are rounded otherwise."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +120,7 @@ class Planner:
         share = np.stack([rounded, np.ones_like(rounded)])[: len(self.sigma)]
         variance = self.sigma**2
         if run.metadata.controller["kind"] != "open":
-            angle = 0.4 * self.rig.angle_per_count
+            angle = ASIDE * self.rig.angle_per_count
             here, there = ([self.outputs(simulate_model(model, run, rounding=flag, start_angle=start))
                             for flag in ("inside", False)] for start in (-angle, angle))
             scatter = (here[0] - here[1]) - (there[0] - there[1])
@@ -140,11 +144,11 @@ class Planner:
                means: tuple[np.ndarray, np.ndarray], distance: float = 0.0, shown: int = 0) -> Worth:
         """A trial of some value.
 
-        Its cost is its length in units of 4 s, and how hard and how far it drives the rig as ``forecast`` has it;
+        Its cost is its length in units of LONG, and how hard and how far it drives the rig as ``forecast`` has it;
         ``means``: what the two hypotheses ``names`` predict, for drawing.
         """
         command = float(np.sqrt(np.mean(forecast.command**2))) / self.rig.amplifier.limit
-        cost = (run.t[-1] / 4.0 + command
+        cost = (run.t[-1] / LONG + command
                 + float(np.max(np.abs(forecast.mean[0]))) / self.rig.encoder.counts_per_revolution)
         encoder, *accel = zip(*means, strict=True)
         prediction = Prediction(trial.complete(), run.t, run.reference, names, encoder, accel[0] if accel else None)

@@ -8,12 +8,14 @@ from scipy.ndimage import median_filter
 from station.model.along import joint_torque
 from station.model.effects import Effect, Stage
 from station.pictures.missing import MissingTorque, missing_torque
-from station.pictures.picture import Cause, Evidence, count, grid_over, thin
+from station.pictures.picture import PLACES, Cause, Evidence, count, grid_over, thin
 from station.pictures.torques import estimates, joined
 from station.runs.run import Run
 
 DRIFT = 0.5
 """Share of a joint's wind-up (rms) by which two accounts of it may differ where its spring's law is drawn."""
+CARRIED = 0.05
+"""Share of a joint's largest torque below which what it carries is not drawn as a share: that would be noise."""
 
 
 def wind_up(cause: Cause, effect: Effect) -> list[Evidence]:
@@ -34,14 +36,14 @@ def wind_up(cause: Cause, effect: Effect) -> list[Evidence]:
     source = f"Points: spring and damper of the {at} plus what is missing there, smoothed from {count(cause.runs)}"
     if effect.stage is Stage.GAP:
         linear = joint.stiffness * angle + joint.damping * speed
-        clear = np.abs(linear) > 0.05 * np.max(np.abs(linear))
+        clear = np.abs(linear) > CARRIED * np.max(np.abs(linear))
         share = joint_torque(cause.extended, at, angle, speed, h)[clear] / linear[clear]
         return [thin(f"Share of its torque that the {at} carries, against its wind-up: {cause.title}", "deflection",
                      label, f"torque of the {at} over the same without play", angle[clear],
                      total[clear] / linear[clear], _running_median(angle[clear], share),
-                     f"{source}, over what it would carry without play; rows with less than 5 % of the largest torque "
-                     "are left out. The smoothing rounds the edges of the gap and fills it in part. Line: the "
-                     "fitted law on the same motion, its median.")]
+                     f"{source}, over what it would carry without play; rows with less than "
+                     f"{100.0 * CARRIED:g} % of the largest torque are left out. The smoothing rounds the edges of the "
+                     "gap and fills it in part. Line: the fitted law on the same motion, its median.")]
     grid = grid_over(angle)
     doubt = ("" if at == "drive" else " The sensors tell this torque better than the wind-up, which is estimated "
              "towards that of a linear clamp: where the law is steep, points lie inside it.")
@@ -80,5 +82,5 @@ def _unseen_wind_up(cause: Cause, at: str) -> Evidence:
 def _running_median(x: np.ndarray, y: np.ndarray, width: int = 25) -> tuple[np.ndarray, np.ndarray]:
     """Median of y over neighbours in x."""
     order = np.argsort(x)
-    every = max(len(x) // 400, 1)
+    every = max(len(x) // PLACES, 1)
     return x[order][::every], median_filter(y[order], size=width, mode="nearest")[::every]

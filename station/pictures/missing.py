@@ -33,6 +33,8 @@ MISTRUST = (1.0, 3.0, 10.0, 30.0, 100.0)
 """Factors on the accelerometer's noise: a beam that the model has wrong must not be made up for by torque."""
 PASSES = 4
 """Times that torques which the rig holds are evaluated on the smoothed motion."""
+TWISTED = 0.05
+"""Standard deviation of the torque that twists the drive at an equilibrium, of the motor's largest."""
 _COMMAND_PATH = (Stage.COMMAND, Stage.INPUT_DELAY, Stage.CLOCK)
 _ACCEL_PATH = (Stage.ACCEL_INPUT, Stage.ACCEL_FILTER, Stage.ACCEL_COUNTS, Stage.ACCEL_DELAY)
 
@@ -123,7 +125,7 @@ def _system(plant: Plant, port: np.ndarray, run: Run) -> System:
     noise[:modes, 0], noise[modes, 0] = held, 1.0
     spread = [parts.rigid * rig.angle_per_count]
     if rig.drive is not None and run.metadata.start == "equilibrium":
-        spread.append(parts.unit(parts.motor) * 0.05 * torque_scale(rig) / rig.drive.stiffness)
+        spread.append(parts.unit(parts.motor) * TWISTED * torque_scale(rig) / rig.drive.stiffness)
     for vector in spread:
         z = form.inverse @ np.concatenate([vector, np.zeros(parts.size)])
         start[:modes, :modes] += np.outer(z, z)

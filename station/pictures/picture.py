@@ -14,6 +14,10 @@ from station.runs.run import Run
 
 POINTS = 2000
 """Most points in a picture."""
+PLACES = 400
+"""At which a law is drawn."""
+TOP = 0.25
+"""Share of the sample rate up to which spectra and modes are told: half of Nyquist's."""
 DELAYS = (Stage.INPUT_DELAY, Stage.ENCODER_DELAY, Stage.ACCEL_DELAY)
 
 
@@ -57,9 +61,9 @@ def thin(title: str, kind: str, xlabel: str, ylabel: str, x: np.ndarray, y: np.n
 
 
 def grid_over(x: np.ndarray) -> np.ndarray:
-    """400 places over the range of x, and both sides of 0."""
+    """PLACES over the range of x, and both sides of 0."""
     low, high = float(np.min(x)), float(np.max(x))
-    grid = np.linspace(low, high, 400)
+    grid = np.linspace(low, high, PLACES)
     tiny = 1e-9 * max(abs(low), abs(high), 1e-9)
     return np.sort(np.concatenate([grid, [-tiny, tiny]])) if low < 0.0 < high else grid
 

@@ -16,11 +16,16 @@ from station.model.effects import Effect
 from station.model.modal import modal_form
 from station.model.simulate import Simulation, build
 from station.pictures.driven import command_driven
-from station.pictures.picture import DELAYS, Cause, Evidence, count
+from station.pictures.picture import DELAYS, TOP, Cause, Evidence, count
 from station.rig import Rig
 from station.runs.run import Run
 
 BANDS = 40
+"""Of frequency, in which ratios are taken."""
+HIGHEST = 0.3
+"""Share of the sample rate up to which they reach: short of Nyquist's."""
+TAPER = 0.1
+"""Share of a run that is faded in and out (Tukey's window): what does not end at rest would leak."""
 SPREAD = 0.1
 """Largest standard error of a ratio in a band that is drawn, a share of its size: 0.9 dB, or 6 degrees."""
 FEWEST = 4
@@ -57,7 +62,7 @@ def command_response(cause: Cause) -> list[Evidence]:
     unit = "counts per count" if found.channel == "accel" else "counts per sample and count"
     moved = "; ".join(f"{a:.3g} Hz becomes {b:.3g} Hz" for a, b in
                       zip(_resonances(cause.without), _resonances(cause.extended), strict=False))
-    modes = f" Modes below {0.25 * cause.extended.sample_rate:g} Hz: {moved}." if moved else ""
+    modes = f" Modes below {TOP * cause.extended.sample_rate:g} Hz: {moved}." if moved else ""
     return [Evidence(
         f"Response of the {sensor} to the command, over frequency: {cause.title}", "frequency", "frequency (Hz)",
         f"{sensor} over command (dB, {unit})", found.frequency, _decibel(found.measured), found.frequency,
@@ -118,14 +123,14 @@ def _transfer(pairs: Sequence[tuple[np.ndarray, np.ndarray]], rate: float) -> tu
     sums = np.zeros((3, longest // 2 + 1), dtype=complex)
     for x, y in pairs:
         for row, (a, b) in enumerate(((x, x), (x, y), (y, y))):
-            frequency, spectrum = signal.csd(a, b, rate, window=("tukey", 0.1), nperseg=len(x), nfft=longest,
+            frequency, spectrum = signal.csd(a, b, rate, window=("tukey", TAPER), nperseg=len(x), nfft=longest,
                                              detrend=False)
             sums[row] += spectrum * len(x)
     lines = sum(len(x) for x, _ in pairs) / longest
     fewest = max(math.ceil(FEWEST / lines), 1)
-    ratio = (0.3 * longest) ** (1.0 / BANDS)
+    ratio = (HIGHEST * longest) ** (1.0 / BANDS)
     rows, end = [], 1
-    while frequency[end] < 0.3 * rate:
+    while frequency[end] < HIGHEST * rate:
         inside = slice(end, max(end + fewest, math.ceil(end * ratio)))
         end = inside.stop
         if end >= len(frequency) or not sums[0, inside].real.sum() > 0.0:
@@ -141,10 +146,10 @@ def _transfer(pairs: Sequence[tuple[np.ndarray, np.ndarray]], rate: float) -> tu
 
 
 def _resonances(rig: Rig) -> list[float]:
-    """Undamped frequencies (Hz) of the oscillating modes below a quarter of the sample rate, lowest first."""
+    """Undamped frequencies (Hz) of the oscillating modes below TOP of the sample rate, lowest first."""
     values = modal_form(build(rig.with_effects([])).assembly).eigenvalues.ravel()
     found = sorted({round(abs(v) / (2.0 * math.pi), 6) for v in values if abs(v.imag) > 1e-6 * abs(v)})
-    return [f for f in found if f < 0.25 * rig.sample_rate]
+    return [f for f in found if f < TOP * rig.sample_rate]
 
 
 def _decibel(ratio: np.ndarray) -> np.ndarray:

@@ -15,9 +15,12 @@ from scipy import signal
 from station.model.along import law_values
 from station.model.effects import Effect, Stage
 from station.pictures.missing import MissingTorque, missing_torque
-from station.pictures.picture import Cause, Evidence, count, grid_over, thin
+from station.pictures.picture import TOP, Cause, Evidence, count, grid_over, thin
 from station.rig import Rig
 from station.runs.run import Run
+
+MOVING = 0.02
+"""Share of the largest speed above which a row counts as moving: friction at rest holds what it must."""
 
 
 def sceptics_view(found: MissingTorque, run: Run) -> list[Evidence]:
@@ -37,7 +40,7 @@ def sceptics_view(found: MissingTorque, run: Run) -> list[Evidence]:
                                     ("load", "load on the gears (N m)", found.load))]
     rate = 1.0 / (found.t[1] - found.t[0])
     frequency, density = signal.welch(found.torque, rate, nperseg=min(512, len(found.t)))
-    shown = (frequency > 0.0) & (frequency < 0.25 * rate)
+    shown = (frequency > 0.0) & (frequency < TOP * rate)
     return [*views, thin(f"{title} frequency", "spectrum", "frequency (Hz)", f"{label_y} (N m/√Hz)",
                          frequency[shown], np.sqrt(density[shown]), note=note)]
 
@@ -76,7 +79,7 @@ def against_time(cause: Cause, effect: Effect) -> list[Evidence]:
 def against_load(cause: Cause, effect: Effect) -> list[Evidence]:
     """Friction in proportion to load: what opposes the motor's motion against the load on its gears."""
     found = joined(estimates(cause, "motor"))
-    load, moving = np.abs(found.load), np.abs(found.speed) > 0.02 * np.max(np.abs(found.speed))
+    load, moving = np.abs(found.load), np.abs(found.speed) > MOVING * np.max(np.abs(found.speed))
     grid = grid_over(load)
     law = None if effect.states else (grid, law_values(cause.extended, effect, 1.0, 0.0, grid))
     load_is = ("the torque in the drive" if cause.extended.drive is not None else
