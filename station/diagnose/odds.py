@@ -120,7 +120,7 @@ def resamples(search: Selection) -> np.ndarray:
 
 def odds(search: Selection) -> Odds:
     """Bagged odds of all fitted sets; a constant within BEYOND sigma of nominal is not a cause."""
-    allowed = [(keys, found) for keys, found in search.fits.items() if all(is_beyond(search, found, k) for k in keys)]
+    allowed = [(keys, found) for keys, found in search.fits.items() if all(may_be_accused(search, found, k) for k in keys)]
     whole = np.array([search.score(found) for _, found in allowed])
     near = [k for k in range(len(allowed)) if whole[k] > whole.max() - 2.0 * CLOSE]
     drawn = resamples(search)
@@ -228,7 +228,7 @@ def deviation(logs: np.ndarray, sigma: float, covariance: np.ndarray, i: int) ->
     return abs(float(logs[i]) - float(gain @ logs[shared])) / math.sqrt(max(variance, sigma**2))
 
 
-def is_beyond(search: Selection, found: Fit, key: Key) -> bool:
+def may_be_accused(search: Selection, found: Fit, key: Key) -> bool:
     """Whether a cause may be accused: a constant beyond BEYOND of its own sigma, and an effect of which the runs say
     that its sizes are such as it may have; at the largest they ask for another thing."""
     if not is_constant(key[0]):

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 from station.diagnose.finding import Finding
-from station.diagnose.odds import Odds, is_beyond
+from station.diagnose.odds import Odds, may_be_accused
 from station.diagnose.result import CHANNELS, RankedCause, Reason
 from station.diagnose.selection import Selection, log_prior
 from station.diagnose.thresholds import NOISE
 from station.diagnose.unseen import Unseen
 from station.diagnose.validation import standard_error, unseen_gain
-from station.estimation.cause import Causes, Key
+from station.estimation.cause import Causes, Key, is_constant
 from station.rig import Rig
 
 CLEAR = 4.0
@@ -72,8 +72,8 @@ def _lost(search: Selection, found: Odds, unseen: Unseen, key: Key) -> Reason | 
     best = max(holders, key=search.score)
     if key in max(unseen.densities, key=len):
         return Reason("left_out")
-    if not is_beyond(search, best, key):
-        return Reason("within")
+    if not may_be_accused(search, best, key):
+        return Reason("within" if is_constant(key[0]) else "too_large")
     behind = 2.0 * (search.score(search.fits[named]) - search.score(best))
     if key in found.sets[0][0] or behind < 0.0:
         return Reason("resamples", found.stability.get(key, 0.0))

@@ -76,6 +76,7 @@ def test_what_is_tried_beside_others_says_what_it_adds() -> None:
     assert said(adds=52.8) == f"{title}: adds 52.8 to 2 Δln L"
     assert said("within", adds=52.8) == \
         f"{title}: adds 52.8 to 2 Δln L; a value within the rig's stated uncertainty does as well"
+    assert said("too_large") == f"{title}; it may have to be larger than such a thing can be"
     assert said("resamples") == f"{title}; no resample names it"
 
 

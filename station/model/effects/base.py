@@ -218,7 +218,10 @@ class Effect(BaseModel):
 
     @classmethod
     def largest(cls, rig: Rig, at: str) -> dict[str, float]:
-        """Sizes beyond which the law would be another thing than its name says, by parameter; {} where none is."""
+        """Sizes beyond which the law would be another thing than its name says, by parameter; {} where none is.
+
+        An effect is a cause only where the 95 % interval of such a size ends below it.
+        """
         return {}
 
     @classmethod

@@ -46,6 +46,7 @@ def _decides(reason: Reason) -> str:
             "likely": "may be there as well, but too few resamples name it",
             "left_out": "does not help on unseen runs",
             "within": "a value within the rig's stated uncertainty does as well",
+            "too_large": "it may have to be larger than such a thing can be",
             "resamples": f"named in {resamples(reason.value)}, too few" if reason.value else "no resample names it",
             "beaten": f"{others} in its place {do} better",
             "matched": f"{others} in its place {do} as well",
