@@ -119,8 +119,9 @@ def resamples(search: Selection) -> np.ndarray:
 
 
 def odds(search: Selection) -> Odds:
-    """Bagged odds of all fitted sets; a constant within BEYOND sigma of nominal is not a cause."""
-    allowed = [(keys, found) for keys, found in search.fits.items() if all(may_be_accused(search, found, k) for k in keys)]
+    """Bagged odds of all fitted sets whose causes may be accused."""
+    allowed = [(keys, found) for keys, found in search.fits.items()
+               if all(may_be_accused(search, found, key) for key in keys)]
     whole = np.array([search.score(found) for _, found in allowed])
     near = [k for k in range(len(allowed)) if whole[k] > whole.max() - 2.0 * CLOSE]
     drawn = resamples(search)

@@ -35,7 +35,8 @@ def found(evidence: float, *effects: tuple, constants: tuple[str, ...] = (), nar
           lost: tuple[float, float] = (0.0, 0.0)) -> Found:
     """``lost``: what the evidence loses where runs are held alike in their share of the command, and in a constant."""
     hypothesis = Hypothesis(effects, constants)
-    made = Found(space=SimpleNamespace(hypothesis=hypothesis), key=hypothesis.key,
+    space = SimpleNamespace(hypothesis=hypothesis, rig=None, coordinates=(), parts={"effects": slice(0, 0)})
+    made = Found(space=space, key=hypothesis.key,
                  log_evidence=lambda weighing: evidence - np.dot(lost, np.equal(weighing.differ, 0.0)),
                  log_evidences=lambda weighing, sizes, drawn: evidence - np.dot(lost, np.equal(sizes, 0.0)) - drawn,
                  most_likely_differ=lambda weighing, may: tuple(map(float, may)),
