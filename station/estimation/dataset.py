@@ -101,8 +101,6 @@ class Dataset:
     clock: tuple[float, float] | None
     segment_run: np.ndarray
     """(stretches) the run of each."""
-    tests: int
-    """How many tests these are: two parts of one log are one test."""
 
     @cached_property
     def runs(self) -> tuple[Run, ...]:
@@ -158,7 +156,7 @@ class Dataset:
     @cached_property
     def free(self) -> np.ndarray:
         """(c) the columns of ``own`` that a fit moves."""
-        return np.flatnonzero([True, self.has_accel, *[self.tests > 1] * 2])
+        return np.flatnonzero([True, self.has_accel, *[len(self.runs) > 1] * 2])
 
     @cached_property
     def logs(self) -> Logs:
@@ -256,7 +254,7 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
         for run, window, zero, first, count
         in zip(runs, windows or [slice(None)] * len(runs), zero_ids, np.cumsum(parts) - parts, parts, strict=True))
     return Dataset(meshed, records, noise=noise.sigmas, noise_freedoms=noise.freedoms, clock=clock_evidence(tests),
-                   segment_run=np.repeat(np.arange(len(runs)), parts), tests=len(tests))
+                   segment_run=np.repeat(np.arange(len(runs)), parts))
 
 
 def _refuse_rollover(rig: Rig, run: Run) -> None:

@@ -85,11 +85,6 @@ class Fit(Point):
         return self.space.hypothesis.key
 
     @property
-    def may_differ(self) -> bool:
-        """Whether runs may differ in what the motor does more: the last two of what each has of its own, if so."""
-        return self.nuisance.shape[1] > 2
-
-    @property
     def misfit(self) -> float:
         """Mean squared error of the predictions, in units of the noise; 1 where nothing but noise is left."""
         return float(self.squares.sum() / self.counts.sum())
@@ -136,7 +131,7 @@ class Fit(Point):
         """(..., runs, c) prior precisions of what runs have of their own where they differ by ``sizes`` (..., 2)."""
         differ = np.asarray(sizes, dtype=float)
         found = np.broadcast_to(self.nuisance, (*differ.shape[:-1], *self.nuisance.shape)).copy()
-        if self.may_differ:
+        if len(self.nuisance) > 1:
             found[..., -2:] = differ_precision(self.space.rig, differ)[..., None, :]
         return found
 
@@ -199,7 +194,7 @@ class Fit(Point):
         maximisation: Dempster, Laird and Rubin, J. R. Stat. Soc. B 39, 1977); these rounds themselves take hundreds to
         arrive where runs are alike.
         """
-        if not self.may_differ:
+        if len(self.nuisance) == 1:
             return 0.0, 0.0
         least = least_differ(self.space.rig)
         if not any(may):
@@ -229,7 +224,7 @@ class Fit(Point):
         (Gelman et al., section 5.4), down to where runs are alike.  Sizes that the runs single out were one of many; a
         set that needs none has most of them.  The other size stays at its most likely.
         """
-        if not self.may_differ:
+        if len(self.nuisance) == 1:
             return np.zeros(2)
         sizes = np.tile(weighing.differ, (2, SIZES, 1))
         ends = np.log([least_differ(self.space.rig), largest_differ(self.space.rig)])

@@ -26,10 +26,11 @@ def between_runs(diagnosis: Diagnosis) -> str:
     told = " and ".join(size for name, size in sizes.items() if name in found.probability)
     if not told:
         return ""
-    words = (f"From run to run the motor does more or less by {told}, as no cause with one value for all runs can "
-             "(standard deviations)")
+    where, what = (("From one half of the run to the other", "A motor that warms up") if len(diagnosis.runs) == 1 else
+                   ("From run to run", "A supply whose voltage differs between tests"))
+    words = f"{where} the motor does more or less by {told}, as no cause with one value can (standard deviations)"
     if found.share is None:
         return f"{words}."
     least, most = (pick(found.runs, key=lambda row: row.share) for pick in (min, max))
-    return (f"{words}: from {percent(least.share)} in {least.run} to {percent(most.share)} in {most.run}. A supply "
-            "whose voltage differs between tests does that.")
+    return (f"{words}: from {percent(least.share)} in {least.run} to {percent(most.share)} in {most.run}. {what} does "
+            "that.")
