@@ -8,18 +8,11 @@ from station.diagnose.finding import Finding
 from station.diagnose.odds import Odds, may_be_accused
 from station.diagnose.result import CHANNELS, RankedCause, Reason
 from station.diagnose.selection import Selection, log_prior
-from station.diagnose.thresholds import NOISE
+from station.diagnose.thresholds import AS_GOOD, BETTER, LIKELY, NOISE
 from station.diagnose.unseen import Unseen
 from station.diagnose.validation import standard_error, unseen_gain
 from station.estimation.cause import Causes, Key, is_constant
 from station.rig import Rig
-
-CLEAR = 4.0
-"""Twice the log of odds or likelihoods from which on one cause is said to do better than another: two sigma."""
-EVEN = 0.5
-"""Probability above which a cause that is not named may be there as well."""
-COUNTS = 0.1
-"""Probability above which a cause that explains as much as the first is called as good."""
 
 
 def ranking(search: Selection, found: Odds, unseen: Unseen) -> list[RankedCause]:
@@ -52,16 +45,16 @@ def _reason(search: Selection, found: Odds, unseen: Unseen, row: RankedCause, fi
     lost = _lost(search, found, unseen, key)
     if not lost and row is first:
         return Reason("leads")
-    if not lost and row.probability > EVEN:
+    if not lost and row.probability > LIKELY:
         return Reason("likely")
     little = Reason("too_little", price, adds=adds) if adds is not None and adds < price else None
     if tried:
         return replace(little or lost or Reason("open"), tried=tried, adds=adds)
     if lost and (len(lost.instead) < 2 or first.note):
         return lost
-    if less > CLEAR and not first.note:
+    if less > BETTER and not first.note:
         return Reason("explains_less", less)
-    return little or Reason("as_good" if row.probability > COUNTS else "no_better")
+    return little or Reason("as_good" if row.probability > AS_GOOD else "no_better")
 
 
 def _lost(search: Selection, found: Odds, unseen: Unseen, key: Key) -> Reason | None:
@@ -78,7 +71,7 @@ def _lost(search: Selection, found: Odds, unseen: Unseen, key: Key) -> Reason | 
     if key in found.sets[0][0] or behind < 0.0:
         return Reason("resamples", found.stability.get(key, 0.0))
     instead = {one for one in named if one[0] == key[0]} or named - best.key
-    return Reason("beaten" if behind > CLEAR else "matched", instead=tuple(sorted(instead))) if instead else None
+    return Reason("beaten" if behind > BETTER else "matched", instead=tuple(sorted(instead))) if instead else None
 
 
 def _smallest(search: Selection, key: Key) -> Causes:

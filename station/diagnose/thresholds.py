@@ -59,6 +59,13 @@ SEEN = 0.5
 BELIEVABLE = 1e-3
 """Odds beforehand, against the set named, from which another set of wrong constants is one side of an equivalence, and
 the least probability stated for a rival that no data could rule out: nobody knows prior odds better than that."""
+BETTER = 4.0
+"""2 ln of odds or likelihoods from which on one candidate is said to do better than another: two sigma."""
+LIKELY = 0.5
+"""Probability above which a cause that is not named is said to be there, perhaps, as well: likelier than not."""
+AS_GOOD = 0.1
+"""Probability above which one that explains as much as the first is called as good: odds of ten to one are "strong"
+evidence against it (Kass and Raftery)."""
 LISTED = 0.005
 """Least probability of a rival that is listed: what is rounded to 1 %."""
 EXPLAINABLE = 1.2
