@@ -85,6 +85,11 @@ class Fit(Point):
         return self.space.hypothesis.key
 
     @property
+    def alone(self) -> bool:
+        """Whether it is of one run, which differs from no other (``Dataset.free``)."""
+        return len(self.nuisance) == 1
+
+    @property
     def misfit(self) -> float:
         """Mean squared error of the predictions, in units of the noise; 1 where nothing but noise is left."""
         return float(self.squares.sum() / self.counts.sum())
@@ -131,7 +136,7 @@ class Fit(Point):
         """(..., runs, c) prior precisions of what runs have of their own where they differ by ``sizes`` (..., 2)."""
         differ = np.asarray(sizes, dtype=float)
         found = np.broadcast_to(self.nuisance, (*differ.shape[:-1], *self.nuisance.shape)).copy()
-        if len(self.nuisance) > 1:
+        if not self.alone:
             found[..., -2:] = differ_precision(self.space.rig, differ)[..., None, :]
         return found
 
@@ -194,7 +199,7 @@ class Fit(Point):
         maximisation: Dempster, Laird and Rubin, J. R. Stat. Soc. B 39, 1977); these rounds themselves take hundreds to
         arrive where runs are alike.
         """
-        if len(self.nuisance) == 1:
+        if self.alone:
             return 0.0, 0.0
         least = least_differ(self.space.rig)
         if not any(may):
@@ -224,7 +229,7 @@ class Fit(Point):
         (Gelman et al., section 5.4), down to where runs are alike.  Sizes that the runs single out were one of many; a
         set that needs none has most of them.  The other size stays at its most likely.
         """
-        if len(self.nuisance) == 1:
+        if self.alone:
             return np.zeros(2)
         sizes = np.tile(weighing.differ, (2, SIZES, 1))
         ends = np.log([least_differ(self.space.rig), largest_differ(self.space.rig)])
