@@ -39,6 +39,8 @@ RIG = load_rig("sflr")
 CHROMIUMS_OWN = ("update.googleapis.com", "content-autofill.googleapis.com", ".google.com", ".gvt1.com")
 DRAWN_WITHIN = 120.0
 """Seconds; a processor draws what a graphics card would."""
+SMALL = {"width": 700, "height": 560}
+"""Of the page, pixels: it has fewer to draw."""
 
 
 class Outside:
@@ -122,7 +124,7 @@ def test_the_viewer_draws_the_recording_and_nothing_leaves_this_machine(served, 
     _, page, data = served
     proxied = [f"--proxy-server=http://{LOOPBACK}:{outside.port}", *SOFTWARE_GL]
     with serve_page(page, data) as address, chromium(proxied) as browser:
-        tab = browser.new_page(viewport={"width": 1000, "height": 700})
+        tab = browser.new_page(viewport=SMALL)
         answered, refused = [], []
         tab.on("response", lambda answer: answered.append(answer.url))
         tab.on("console", lambda m: refused.append(m.text) if "Content Security Policy" in m.text else None)
@@ -152,7 +154,7 @@ def test_a_log_is_drawn_in_its_blueprints_colours(tmp_path):
     lines: set[int] = set()
     with serving(log, log.with_suffix(".rbl")) as (_, page, data), serve_page(page, data) as address, \
             chromium(SOFTWARE_GL) as browser:
-        tab = browser.new_page(viewport={"width": 1000, "height": 800})
+        tab = browser.new_page(viewport=SMALL)
         tab.goto(f"{address}&renderer=webgl")
         canvas = tab.wait_for_selector("canvas.visible", timeout=1e3 * DRAWN_WITHIN)
         until = time.monotonic() + DRAWN_WITHIN
