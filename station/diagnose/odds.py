@@ -270,11 +270,10 @@ def estimates(found: Fit, rougher: Fit, left_out: Sequence[Fit],
         return wider * math.sqrt((len(values) - 1) * float(np.var(values)))
     log_sd = np.sqrt(np.diag(space.root @ covariance[:n, :n] @ space.root.T) + (space.root @ shift[:n]) ** 2)
     constants = {}
-    per_log = np.linalg.inv(space.root)
     for i, path in enumerate(space.paths):
         value, deviation, between = nominal[path] * math.exp(found.logs[i]), log_sd[i], None
         if path in space.hypothesis.constants:
-            seen = _between(found, np.append(per_log[:, i], np.zeros(space.size - n)))
+            seen = _between(found, space.along_log(path))
             own = space.root[i] @ seen.covariance[:n, :n] @ space.root[i]
             own = max(math.sqrt(own), jackknife(np.append(space.root[i], np.zeros(space.size - n))))
             deviation, between = math.hypot(own, space.root[i] @ shift[:n]), _told(seen, value)

@@ -14,10 +14,11 @@ from station.diagnose.result import CHANNELS, ChannelGain, Gain, RunComparison, 
 from station.diagnose.thresholds import EXPLAINABLE, UNSEEN
 from station.estimation.dataset import Dataset
 from station.estimation.fitted import Fit
-from station.estimation.least_squares import DIVERGED, fit, own_steps
+from station.estimation.least_squares import DIVERGED, STEP, fit, own_steps
 from station.estimation.likelihood import Weighing, cost, nuisance_precision
 from station.estimation.observer import observers
 from station.estimation.prediction import Predictor, angle_that_reads, predict_run
+from station.estimation.spread import between_runs
 from station.model.simulate import Model, Simulation, build, simulate_model
 
 AHEAD = (0.1, 1.0)
@@ -138,44 +139,61 @@ def log_density(predictor: Predictor, weighing: Weighing, left: Fit, run: int) -
 
     What the run has of its own is nobody else's, and is integrated out: about its most likely values, by Laplace's
     approximation (a log pointwise predictive density: Vehtari, Gelman and Gabry, Stat. Comput. 27, 2017, of a group of
-    data with parameters of its own).
+    data with parameters of its own).  So is by how much it may differ in the sizes of the causes, as far as the runs of
+    the fit do (``spread``).
     """
-    data = predictor.data
-    model, scale, measured = predictor.model(left.space, left.x), predictor.scale(run), predictor.measured(run)
+    data, space = predictor.data, left.space
+    measured, scale = predictor.measured(run), predictor.scale(run)
     counts, independent = predictor.counts[run], weighing.independent[run]
-    prior, first, steps = left.own_precision(left.weighing.differ)[run], data.own[run][data.free], own_steps(data)
+    directions = differing(left, run)
+    free = len(data.free)
+    steps = np.concatenate([own_steps(data)[data.free], np.full(len(directions), STEP)])
+    prior = np.concatenate([left.own_precision(left.weighing.differ)[run], np.ones(len(directions))])
+    first = np.concatenate([data.own[run][data.free], np.zeros(len(directions))])
+    count = data.rig.angle_per_count
 
-    def errors(own: np.ndarray) -> np.ndarray:
-        return (measured - predictor.run(model, left.space, left.x, run, own)) * scale
+    def errors(moved: np.ndarray) -> np.ndarray:
+        own = left.own[run].copy()
+        own[data.free] = moved[:free]
+        x = left.x + moved[free:] @ directions
+        return (measured - predictor.run(predictor.model(space, x), space, x, run, own)) * scale
 
-    def surprise(e: np.ndarray, own: np.ndarray) -> float:
+    def surprise(e: np.ndarray, moved: np.ndarray) -> float:
         return (cost(np.sum(e * e, axis=1), counts, independent) / weighing.temperature
-                + float(prior @ (own[data.free] - first) ** 2))
+                + float(prior @ (moved - first) ** 2))
 
-    own = left.own[run].copy()
-    here = errors(own)
-    value = surprise(here, own)
+    at = np.concatenate([left.own[run][data.free], np.zeros(len(directions))])
+    here = errors(at)
+    value = surprise(here, at)
     if not np.isfinite(value):
         return -math.inf
     for _ in range(OWN_STEPS):
-        columns = np.stack([(here - errors(own + steps * (np.arange(4) == k))) / steps[k] for k in data.free])
+        columns = np.stack([(here - errors(at + steps * row)) / step
+                            for row, step in zip(np.eye(len(at)), steps, strict=True)])
         weights = independent / np.maximum(np.sum(here * here, axis=1), counts) / weighing.temperature
         matrix = np.einsum("ibn,b,jbn->ij", columns, weights, columns) + np.diag(prior)
-        step = np.linalg.solve(matrix, np.einsum("ibn,b,bn->i", columns, weights, here)
-                               - prior * (own[data.free] - first))
+        step = np.linalg.solve(matrix, np.einsum("ibn,b,bn->i", columns, weights, here) - prior * (at - first))
         for share in (1.0, 0.3, 0.1):
-            moved = own.copy()
-            moved[data.free] += share * step
-            moved[0] = np.clip(moved[0], data.own[run, 0] - data.rig.angle_per_count,
-                               data.own[run, 0] + data.rig.angle_per_count)
+            moved = at + share * step
+            moved[0] = np.clip(moved[0], data.own[run, 0] - count, data.own[run, 0] + count)
             there = errors(moved)
             fell = value - surprise(there, moved)
             if fell > 0.0:
-                own, here, value = moved, there, value - fell
+                at, here, value = moved, there, value - fell
                 break
         if not fell > 0.1:
             break
     return -0.5 * (value + float(np.linalg.slogdet(matrix)[1]) - float(np.sum(np.log(prior))))
+
+
+def differing(left: Fit, run: int) -> np.ndarray:
+    """(k, p) along what a run that was left out may differ from the others in the sizes of the causes: of each, as far
+    as those do, one standard deviation."""
+    space, others = left.space, (left.owner != run).astype(float)
+    effects = space.parts["effects"]
+    ways = [*(space.along_log(path) for path in space.hypothesis.constants), *np.eye(space.size)[effects]]
+    differ = [way for way in (between_runs(left, way, others).size * way for way in ways) if np.any(way)]
+    return np.array(differ).reshape(len(differ), space.size)
 
 
 def log_densities(predictor: Predictor, weighing: Weighing, left_out: Sequence[Fit]) -> np.ndarray:

@@ -149,6 +149,11 @@ class Parameters:
         """Logarithms of the constants over nominal."""
         return self.root @ x[self.parts["constants"]]
 
+    def along_log(self, path: str) -> np.ndarray:
+        """(p) the direction of x along which the logarithm of one constant moves and the others' do not."""
+        moved = np.array([one == path for one in self.paths], dtype=float)
+        return np.append(np.linalg.solve(self.root, moved), np.zeros(self.size - len(moved)))
+
     def along(self, basis: np.ndarray) -> Parameters:
         """The same where the constants move along ``basis`` (n, k) alone, orthonormal directions of their part of x."""
         rest = slice(len(self.paths), self.size)

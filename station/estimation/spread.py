@@ -43,9 +43,10 @@ class Spread:
     """(p, p) of the shared parameters, runs taken for draws of what the rig may be."""
 
 
-def between_runs(found: Fit, direction: np.ndarray) -> Spread:
-    """The spread of a parameter along a direction (p) of x that the runs are most likely with."""
-    normals, gradients = found.run_normals(found.weighing)
+def between_runs(found: Fit, direction: np.ndarray, drawn: np.ndarray | None = None) -> Spread:
+    """The spread of a parameter along a direction (p) of x that the runs are most likely with; ``drawn`` (s): how often
+    each stretch counts, by default once."""
+    normals, gradients = found.run_normals(found.weighing, drawn)
     prior = found.space.precision
     shared = normals.sum(axis=0) + np.diag(prior)
     force = gradients.sum(axis=0) - prior * (found.x - found.space.mean)

@@ -12,6 +12,7 @@ from station.diagnose import validation as module
 from station.diagnose.validation import (
     UNKNOWN_AHEAD,
     contradicted,
+    differing,
     leave_each_out,
     log_density,
     missed_by_more,
@@ -20,6 +21,7 @@ from station.diagnose.validation import (
     unseen_gain,
 )
 from station.estimation.pool import Pool
+from tests.estimation.test_spread import USUAL, fitted
 
 ROWS = 200
 PRIOR = np.array([1e6, 0.04, 4.0, 0.25])
@@ -33,12 +35,15 @@ def predictor(errors: np.ndarray, columns: np.ndarray) -> SimpleNamespace:
                            rig=SimpleNamespace(angle_per_count=1.0, amplifier=SimpleNamespace(limit=200.0)))
     return SimpleNamespace(data=data, counts=np.array([[float(errors.size)]]), pool=None,
                            scale=lambda run: np.ones((1, errors.size)), measured=lambda run: errors[None],
-                           model=lambda space, x: None, run=lambda model, space, x, run, own: (own @ columns)[None])
+                           model=lambda space, x: None,
+                           run=lambda model, space, x, run, own: (own @ columns[:4] + x @ columns[4:])[None])
 
 
-def left_out(own: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)) -> SimpleNamespace:
-    """A fit that left the run out."""
-    return SimpleNamespace(space=SimpleNamespace(), x=np.zeros(1), own=np.array([own]),
+def left_out(own: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0), sizes: int = 0) -> SimpleNamespace:
+    """A fit that left the run out, of no cause or of one with so many sizes, in which other runs are alike."""
+    space = SimpleNamespace(size=sizes, hypothesis=SimpleNamespace(constants=()),
+                            parts={"effects": slice(0, 0)})
+    return SimpleNamespace(space=space, x=np.zeros(sizes), own=np.array([own]), owner=np.zeros(1),
                            weighing=SimpleNamespace(differ=(0.5, 2.0)), own_precision=lambda differ: PRIOR[None])
 
 
@@ -63,6 +68,30 @@ def test_what_a_run_has_of_its_own_is_integrated_out_of_the_density_of_a_run_lef
     elsewhere = left_out((0.0, 1.0, 1.0, 1.0))
     begun_elsewhere = log_density(predictor(errors, columns), counted(ROWS), elsewhere, 0)
     assert begun_elsewhere == pytest.approx(wanted, abs=0.1)
+
+
+def test_so_is_by_how_much_the_other_runs_say_that_it_may_differ_in_a_cause(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same with one more column, c per unit of the cause, of which runs differ by tau: N(0, ... + tau^2 c c')."""
+    tau = 0.4
+    columns = waves(5, 0.05, 1)
+    columns[0] = 0.0
+    errors = 0.8 * waves(1, 1.0, 2)[0] + 0.7 * columns[4]
+    spread = np.eye(ROWS) + (columns[:4].T / PRIOR) @ columns[:4] + tau**2 * np.outer(columns[4], columns[4])
+    wanted = -0.5 * float(errors @ np.linalg.solve(spread, errors) + np.linalg.slogdet(spread)[1])
+    monkeypatch.setattr(module, "differing", lambda left, run: np.array([[tau]]))
+    found = log_density(predictor(errors, columns), counted(ROWS), left_out(sizes=1), 0)
+    assert found == pytest.approx(wanted, abs=1e-3)
+
+
+def test_a_run_left_out_may_differ_by_what_the_others_do_whatever_it_says_itself() -> None:
+    """Six runs, of which the first alone has a bias of its own: without it the others are alike, without another they
+    are not."""
+    found = fitted([9.0, 1.0, 1.0, 1.0, 1.0, 1.0], [USUAL] * 6)
+    bias = found.space.parts["effects"].start
+    units = found.space.coordinates[0].scale
+    alike, unlike = (np.abs(differing(found, run)[:, bias]).sum() * units for run in (0, 1))
+    assert alike < 0.3
+    assert unlike == pytest.approx(np.std([9.0, 1.0, 1.0, 1.0, 1.0], ddof=1), rel=0.5)
 
 
 def test_a_bias_of_its_own_does_not_speak_against_what_meets_a_run_but_for_it() -> None:
