@@ -187,13 +187,15 @@ def log_density(predictor: Predictor, weighing: Weighing, left: Fit, run: int) -
 
 
 def differing(left: Fit, run: int) -> np.ndarray:
-    """(k, p) along what a run that was left out may differ from the others in the sizes of the causes: of each, as far
-    as those do, one standard deviation."""
+    """(k, p) along what a run that was left out may have other parameters than the fit of the others, one standard
+    deviation each: these are known as well as those runs say, and the causes' sizes differ as much as they do there."""
     space, others = left.space, (left.owner != run).astype(float)
     effects = space.parts["effects"]
     ways = [*(space.along_log(path) for path in space.hypothesis.constants), *np.eye(space.size)[effects]]
-    differ = [way for way in (between_runs(left, way, others).size * way for way in ways) if np.any(way)]
-    return np.array(differ).reshape(len(differ), space.size)
+    sized = np.array([between_runs(left, way, others).size * way for way in ways]).reshape(len(ways), space.size)
+    known = left.normal(left.weighing, others)[0] + np.diag(space.precision)
+    values, vectors = np.linalg.eigh(np.linalg.inv(known) + sized.T @ sized)
+    return (vectors * np.sqrt(np.maximum(values, 0.0))).T
 
 
 def log_densities(predictor: Predictor, weighing: Weighing, left_out: Sequence[Fit]) -> np.ndarray:
