@@ -137,10 +137,9 @@ def predicted_ahead(predictor: Predictor, left_out: Sequence[Fit]) -> list[dict[
 def log_density(predictor: Predictor, weighing: Weighing, left: Fit, run: int) -> float:
     """ln of the density that a fit, which left a run out, predicts of that run, up to a number that all fits share.
 
-    What the run has of its own is nobody else's, and is integrated out: about its most likely values, by Laplace's
-    approximation (a log pointwise predictive density: Vehtari, Gelman and Gabry, Stat. Comput. 27, 2017, of a group of
-    data with parameters of its own).  So is by how much it may differ in the sizes of the causes, as far as the runs of
-    the fit do (``spread``).
+    A log pointwise predictive density (Vehtari, Gelman and Gabry, Stat. Comput. 27, 2017) of a group of data with
+    parameters of its own: what the run has of its own and all that the other runs leave open (``differing``) are
+    integrated out, about their most likely values, by Laplace's approximation.
     """
     data, space = predictor.data, left.space
     measured, scale = predictor.measured(run), predictor.scale(run)
@@ -187,15 +186,15 @@ def log_density(predictor: Predictor, weighing: Weighing, left: Fit, run: int) -
 
 
 def differing(left: Fit, run: int) -> np.ndarray:
-    """(k, p) along what a run that was left out may have other parameters than the fit of the others, one standard
-    deviation each: these are known as well as those runs say, and the causes' sizes differ as much as they do there."""
+    """(p, p) along what the parameters of a run that was left out may differ from the fit of the others, one standard
+    deviation each: they are known as well as those runs say, and a cause's sizes differ as much as they do there."""
     space, others = left.space, (left.owner != run).astype(float)
     effects = space.parts["effects"]
     ways = [*(space.along_log(path) for path in space.hypothesis.constants), *np.eye(space.size)[effects]]
-    sized = np.array([between_runs(left, way, others).size * way for way in ways]).reshape(len(ways), space.size)
+    spread = np.array([between_runs(left, way, others).size * way for way in ways]).reshape(len(ways), space.size)
     known = left.normal(left.weighing, others)[0] + np.diag(space.precision)
-    values, vectors = np.linalg.eigh(np.linalg.inv(known) + sized.T @ sized)
-    return (vectors * np.sqrt(np.maximum(values, 0.0))).T
+    variances, along = np.linalg.eigh(np.linalg.inv(known) + spread.T @ spread)
+    return (along * np.sqrt(np.maximum(variances, 0.0))).T
 
 
 def log_densities(predictor: Predictor, weighing: Weighing, left_out: Sequence[Fit]) -> np.ndarray:

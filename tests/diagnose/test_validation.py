@@ -39,12 +39,13 @@ def predictor(errors: np.ndarray, columns: np.ndarray) -> SimpleNamespace:
                            run=lambda model, space, x, run, own: (own @ columns[:4] + x @ columns[4:])[None])
 
 
-def left_out(own: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0), sizes: int = 0) -> SimpleNamespace:
-    """A fit that left the run out, of no cause or of one with so many sizes, in which other runs are alike."""
-    space = SimpleNamespace(size=sizes, hypothesis=SimpleNamespace(constants=()),
-                            parts={"effects": slice(0, 0)})
-    return SimpleNamespace(space=space, x=np.zeros(sizes), own=np.array([own]), owner=np.zeros(1),
-                           weighing=SimpleNamespace(differ=(0.5, 2.0)), own_precision=lambda differ: PRIOR[None])
+def left_out(own: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0), parameters: int = 0) -> SimpleNamespace:
+    """A fit that left the run out, with so many parameters."""
+    space = SimpleNamespace(size=parameters, precision=np.ones(parameters), parts={"effects": slice(0, 0)},
+                            hypothesis=SimpleNamespace(constants=()))
+    return SimpleNamespace(space=space, x=np.zeros(parameters), own=np.array([own]), owner=np.zeros(1),
+                           weighing=SimpleNamespace(differ=(0.5, 2.0)), own_precision=lambda differ: PRIOR[None],
+                           normal=lambda weighing, drawn: (np.zeros((parameters, parameters)), np.zeros(parameters)))
 
 
 def counted(independent: float, temperature: float = 1.0) -> SimpleNamespace:
@@ -70,26 +71,30 @@ def test_what_a_run_has_of_its_own_is_integrated_out_of_the_density_of_a_run_lef
     assert begun_elsewhere == pytest.approx(wanted, abs=0.1)
 
 
-def test_so_is_by_how_much_the_other_runs_say_that_it_may_differ_in_a_cause(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same with one more column, c per unit of the cause, of which runs differ by tau: N(0, ... + tau^2 c c')."""
-    tau = 0.4
-    columns = waves(5, 0.05, 1)
+def test_so_is_what_the_other_runs_leave_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same with two more columns D, per standard deviation of as many parameters: N(0, ... + D' D)."""
+    columns = waves(6, 0.05, 1)
     columns[0] = 0.0
-    errors = 0.8 * waves(1, 1.0, 2)[0] + 0.7 * columns[4]
-    spread = np.eye(ROWS) + (columns[:4].T / PRIOR) @ columns[:4] + tau**2 * np.outer(columns[4], columns[4])
+    errors = 0.8 * waves(1, 1.0, 2)[0] + 0.7 * columns[4] - 0.2 * columns[5]
+    along = np.array([[0.4, 0.1], [0.0, 0.3]])
+    open_ = along @ columns[4:]
+    spread = np.eye(ROWS) + (columns[:4].T / PRIOR) @ columns[:4] + open_.T @ open_
     wanted = -0.5 * float(errors @ np.linalg.solve(spread, errors) + np.linalg.slogdet(spread)[1])
-    monkeypatch.setattr(module, "differing", lambda left, run: np.array([[tau]]))
-    found = log_density(predictor(errors, columns), counted(ROWS), left_out(sizes=1), 0)
+    monkeypatch.setattr(module, "differing", lambda left, run: along)
+    found = log_density(predictor(errors, columns), counted(ROWS), left_out(parameters=2), 0)
     assert found == pytest.approx(wanted, abs=1e-3)
 
 
 def test_a_run_left_out_may_differ_by_what_the_others_do_whatever_it_says_itself() -> None:
-    """Six runs, of which the first alone has a bias of its own: without it the others are alike, without another they
-    are not."""
+    """Six runs, of which the first alone has a bias of its own: without it the others are alike, and the bias is known
+    as well as they say; without another they are not."""
     found = fitted([9.0, 1.0, 1.0, 1.0, 1.0, 1.0], [USUAL] * 6)
     bias = found.space.parts["effects"].start
-    units = found.space.coordinates[0].scale
-    alike, unlike = (np.abs(differing(found, run)[:, bias]).sum() * units for run in (0, 1))
+    alike, unlike = (float(np.linalg.norm(differing(found, run)[:, bias])) * found.space.coordinates[0].scale
+                     for run in (0, 1))
+    without_first = found.normal(found.weighing, np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0])[found.owner])[0]
+    known = np.linalg.inv(without_first + np.diag(found.space.precision))[bias, bias]
+    assert alike == pytest.approx(np.sqrt(known) * found.space.coordinates[0].scale, rel=0.2)
     assert alike < 0.3
     assert unlike == pytest.approx(np.std([9.0, 1.0, 1.0, 1.0, 1.0], ddof=1), rel=0.5)
 
