@@ -166,9 +166,10 @@ def log_density(predictor: Predictor, weighing: Weighing, left: Fit, run: int) -
     value = surprise(here, at)
     if not np.isfinite(value):
         return -math.inf
-    for _ in range(OWN_STEPS):
-        columns = np.stack([(here - errors(at + steps * row)) / step
-                            for row, step in zip(np.eye(len(at)), steps, strict=True)])
+    columns = np.zeros((len(at), *here.shape))
+    for k in range(OWN_STEPS):
+        for i in range(free if k else len(at)):     # the others are corrected by what a step did (Broyden 1965)
+            columns[i] = (here - errors(at + steps[i] * (np.arange(len(at)) == i))) / steps[i]
         weights = independent / np.maximum(np.sum(here * here, axis=1), counts) / weighing.temperature
         matrix = np.einsum("ibn,b,jbn->ij", columns, weights, columns) + np.diag(prior)
         step = np.linalg.solve(matrix, np.einsum("ibn,b,bn->i", columns, weights, here) - prior * (at - first))
@@ -178,6 +179,9 @@ def log_density(predictor: Predictor, weighing: Weighing, left: Fit, run: int) -
             there = errors(moved)
             fell = value - surprise(there, moved)
             if fell > 0.0:
+                went = moved - at
+                columns += (went * prior / (prior @ went**2))[:, None, None] * (
+                    here - there - np.tensordot(went, columns, 1))
                 at, here, value = moved, there, value - fell
                 break
         if not fell > 0.1:
