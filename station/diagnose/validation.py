@@ -14,7 +14,7 @@ from station.diagnose.result import CHANNELS, ChannelGain, Gain, RunComparison, 
 from station.diagnose.thresholds import EXPLAINABLE, UNSEEN
 from station.estimation.dataset import Dataset
 from station.estimation.fitted import Fit
-from station.estimation.least_squares import DIVERGED, STEP, fit, own_steps
+from station.estimation.least_squares import DIVERGED, STEP, correct, fit, own_steps
 from station.estimation.likelihood import Weighing, cost, nuisance_precision
 from station.estimation.observer import observers
 from station.estimation.prediction import Predictor, angle_that_reads, predict_run
@@ -168,7 +168,7 @@ def log_density(predictor: Predictor, weighing: Weighing, left: Fit, run: int) -
         return -math.inf
     columns = np.zeros((len(at), *here.shape))
     for k in range(OWN_STEPS):
-        for i in range(free if k else len(at)):     # the others are corrected by what a step did (Broyden 1965)
+        for i in range(free if k else len(at)):     # the others: by ``correct``, below
             columns[i] = (here - errors(at + steps[i] * (np.arange(len(at)) == i))) / steps[i]
         weights = independent / np.maximum(np.sum(here * here, axis=1), counts) / weighing.temperature
         matrix = np.einsum("ibn,b,jbn->ij", columns, weights, columns) + np.diag(prior)
@@ -179,9 +179,7 @@ def log_density(predictor: Predictor, weighing: Weighing, left: Fit, run: int) -
             there = errors(moved)
             fell = value - surprise(there, moved)
             if fell > 0.0:
-                went = moved - at
-                columns += (went * prior / (prior @ went**2))[:, None, None] * (
-                    here - there - np.tensordot(went, columns, 1))
+                correct(columns, moved - at, prior, here - there)
                 at, here, value = moved, there, value - fell
                 break
         if not fell > 0.1:

@@ -248,12 +248,17 @@ def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarr
 def _broyden(jac: list[np.ndarray], old: Point, new: Point, descent: _Descent) -> None:
     """Correct Jacobians (per run) so that they give what a step did; nuisances in units of their priors."""
     for r, j in enumerate(jac):
-        units = np.concatenate([np.ones(descent.space.size), np.sqrt(descent.nuisance[r])])
+        precision = np.concatenate([np.ones(descent.space.size), descent.nuisance[r]])
         step = np.concatenate([new.x - old.x, (new.own - old.own)[r, descent.data.free]])
-        norm = float(np.sum((step * units) ** 2))
-        if norm > 1e-12:
-            change = (new.predicted[r] - old.predicted[r]) * descent.scale[r]
-            j += (step * units**2 / norm)[:, None, None] * (change - np.tensordot(step, j, 1))[None]
+        correct(j, step, precision, (new.predicted[r] - old.predicted[r]) * descent.scale[r])
+
+
+def correct(jacobian: np.ndarray, step: np.ndarray, precision: np.ndarray, change: np.ndarray) -> None:
+    """Make a Jacobian (k, b, n) give the ``change`` (b, n) that a ``step`` (k) made, and change it least otherwise, in
+    units of which the squares are 1/``precision`` (k) (Broyden 1965)."""
+    norm = float(np.sum(step**2 * precision))
+    if norm > 1e-12:
+        jacobian += (step * precision / norm)[:, None, None] * (change - np.tensordot(step, jacobian, 1))[None]
 
 
 def inherited(parent: Fit, space: Parameters) -> list[np.ndarray]:
