@@ -24,7 +24,7 @@ from station.diagnose.starts import Start, attempted, far_starts, rigid_starts
 from station.diagnose.thresholds import CLOSE, LOG_PRIOR, LOG_PRIOR_PARAMETER, WORTH_A_FIT
 from station.estimation.cause import Causes, Key, Sizes, is_constant
 from station.estimation.constants import base_fit, in_step, settled
-from station.estimation.fitted import Fit, weighing_of
+from station.estimation.fitted import MOST_GAINED, Fit, weighing_of
 from station.estimation.least_squares import FAR, fit, inherited
 from station.estimation.likelihood import Weighing
 from station.estimation.parameters import Hypothesis, Parameters, clock_sigma, parameters
@@ -128,7 +128,7 @@ class Selection:
         """The same where runs may differ in their share of the command, and in a constant."""
         weighing = self.compared
         own = replace(weighing, differ=found.most_likely_differ(weighing, may))
-        price = found.log_narrowing(own) + (LOG_PRIOR if self.complete else 0.0)
+        price = found.log_narrowing(own) + (LOG_PRIOR if self.complete else 0.0) if any(may) else np.zeros(2)
         return own, found.log_evidence(own), float(price @ may)
 
     def score(self, found: Fit) -> float:
@@ -397,20 +397,23 @@ def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
     """Fit sets to the end, each with what runs differ by by itself, side by side.
 
     Where a set may do without (``Selection.evidence``) it is fitted so, too: what runs differ by stood in for its
-    causes, and about that fit the runs do differ.
+    causes, and about that fit the runs do differ.  Not where it is expected to be no rival of itself then.
     """
-    predictor, weighing = search.predictor, search.weighing
+    predictor, weighing, complete = search.predictor, search.weighing, search.complete
 
     def again(job: tuple[Fit, tuple[float, float]]) -> Fit | None:
         found, differ = job
-        space, x = centred(predictor, found, search.complete)
+        space, x = centred(predictor, found, complete)
         return attempted(predictor, space, replace(weighing, differ=differ), x, found.own, **THOROUGH,
                          to_the_end=to_the_end)
 
     jobs = []
     for found in fits:
-        own, alike = search.own_weighing(found).differ, found.most_likely_differ(search.weighing, (False, False))
-        jobs += [(found, own), (found, alike)] if search.complete and alike != own else [(found, own)]
+        own, alike = search.own_weighing(found).differ, found.most_likely_differ(weighing, (False, False))
+        jobs.append((found, own))
+        if complete and alike != own:
+            without = found.log_expected(replace(search.compared, differ=alike))
+            jobs += [(found, alike)] if search.evidence(found) - without < CLOSE + 0.5 * MOST_GAINED else []
     for k, ((old, _), found) in enumerate(zip(jobs, predictor.pool.map(again, jobs), strict=True)):
         if found is not None:
             search.keep(found, old)

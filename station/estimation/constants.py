@@ -100,7 +100,7 @@ def settled(predictor: Predictor, found: Fit, counted: np.ndarray | None = None)
     for _ in range(ROUNDS):
         before = found.weighing
         now = weighing_of(predictor, found, counted)
-        found = fit(predictor, found.space, now, found.x, found.own)
+        found = fit(predictor, found.space, now, found.x, found.own, jacobian=found.jacobian)
         if np.all(np.abs(now.independent - before.independent) <= SETTLED_SHARE * before.independent):
             break
     return found

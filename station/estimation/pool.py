@@ -145,7 +145,7 @@ class _Helper:
         try:
             _write(self.asked, pickle.dumps((function, sent)))
             found: tuple[Any] | None = pickle.load(self.answers)
-        except GONE:
+        except Exception:       # it has ended, or what it says cannot be read, and of that a rest is in the line
             self.end()
             return None
         return found

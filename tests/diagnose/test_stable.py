@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import pytest
 from threadpoolctl import threadpool_limits
@@ -179,11 +180,15 @@ def test_other_threads_say_to_the_last_digit_what_two_say_of_the_same_runs_in_re
 
 def test_every_part_of_a_diagnosis_can_be_sent_to_another_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """What comes back unanswered is done again here, and nobody would see it but by the clock."""
-    answers: list[object] = []
-    plain_ask = module._Helper.ask
+    answers: list[Any] = []
+    plain_ask, plain_sent = module._Helper.ask, module._sent
 
     def ask(helper: module._Helper, function: bytes | None, part: object) -> object:
         answers.append(plain_ask(helper, function, part))
+        return answers[-1]
+
+    def sent(what: object) -> bytes | None:
+        answers.append(plain_sent(what))
         return answers[-1]
 
     module.Pool(2)
@@ -192,6 +197,7 @@ def test_every_part_of_a_diagnosis_can_be_sent_to_another_process(monkeypatch: p
         assert time.monotonic() < end
         time.sleep(0.05)
     monkeypatch.setattr(module._Helper, "ask", ask)
+    monkeypatch.setattr(module, "_sent", sent)
     said(*given("made"), threads=2)
     assert len(answers) > 20 and None not in answers
 

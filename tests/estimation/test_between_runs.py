@@ -30,17 +30,22 @@ SHARES = np.array([0.025, -0.02, 0.015, -0.025, 0.02, -0.01])
 VARIES = 5.41
 
 
-def fitted(offsets: Sequence[float], shares: Sequence[float], effects: tuple = (), rig: Rig = AXIS,
-           begun: tuple[float, float] | None = None) -> Fit:
-    """The axis fitted to six runs, each with a bias and a motor gain of its own; how much they differ is estimated.
-
-    ``begun``: fitted with differences of that size, once, and not again with the estimate.
-    """
+def predicting(offsets: Sequence[float], shares: Sequence[float], rig: Rig = AXIS) -> Predictor:
+    """Six runs of the axis, each with a bias and a motor gain of its own, as a rig predicts them."""
     runs = []
     for k, ((amplitude, controller), offset, share) in enumerate(zip(TESTS, offsets, shares, strict=True)):
         true = AXIS.with_constants({"motor.gain": AXIS.motor.gain * (1.0 + share)})
         runs.append(run_of(true.with_effects([BIAS(at="amplifier", offset=offset)]), amplitude, controller, f"run {k}"))
-    predictor = Predictor(dataset(rig, runs), observers(rig, 0.0), Pool())
+    return Predictor(dataset(rig, runs), observers(rig, 0.0), Pool())
+
+
+def fitted(offsets: Sequence[float], shares: Sequence[float], effects: tuple = (), rig: Rig = AXIS,
+           begun: tuple[float, float] | None = None) -> Fit:
+    """The axis fitted to six such runs; how much they differ is estimated.
+
+    ``begun``: fitted with differences of that size, once, and not again with the estimate.
+    """
+    predictor = predicting(offsets, shares, rig)
     weighing = Weighing(predictor.counts, 1.0, begun or (0.0, 0.0))
     space = parameters(predictor.data, Hypothesis(effects), {KEY: {"offset": 1.0}})
     found = fit(predictor, space, weighing, space.mean.copy())
@@ -112,6 +117,17 @@ def test_sizes_are_those_of_the_highest_of_two_modes(share: float, sigma: float)
     along = [found.log_evidence(replace(found.weighing, differ=(one, constant))) for one in np.geomspace(1e-6, 0.3, 40)]
     assert min(along[10:-1]) < min(along[0], along[-1]) - 1.0, "the case has two modes"
     assert max(along) < best + 0.05
+
+
+def test_what_a_fit_to_runs_held_alike_comes_to_is_foreseen(varied: Fit) -> None:
+    """By linear predictions and the likelihood's own cost; the quadratic alone is off by as much as is lost."""
+    alike = replace(varied.weighing, differ=varied.most_likely_differ(varied.weighing, (False, False)))
+    ended = fit(predicting(OFFSETS, SHARES), varied.space, alike, varied.x)
+    lost = varied.log_evidence(varied.weighing) - ended.log_evidence(alike)
+    assert lost > 50.0
+    assert varied.log_expected(alike) == pytest.approx(ended.log_evidence(alike), abs=0.2 * lost)
+    assert abs(varied.log_evidence(alike) - ended.log_evidence(alike)) > 0.5 * lost
+    assert varied.log_expected(varied.weighing) == pytest.approx(varied.log_evidence(varied.weighing), abs=0.1)
 
 
 def test_without_a_step_left_to_take_the_evidence_is_that_of_the_fit(varied: Fit) -> None:

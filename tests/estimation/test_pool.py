@@ -153,3 +153,21 @@ def test_no_process_is_left_behind(end: str, tmp_path: Path) -> None:
 def test_a_model_is_not_sent_to_another_process() -> None:
     with pytest.raises(TypeError, match="send its rig"):
         pickle.dumps(build(load_rig("sflr")))
+
+
+class Unreadable:
+    """An answer that cannot be read."""
+
+    def __reduce__(self) -> tuple[Callable[[str], object], tuple[str]]:
+        return __import__, ("no_such_module",)
+
+
+def test_an_answer_that_cannot_be_read_is_worked_out_here(pool: Pool) -> None:
+    mine = os.getpid()
+
+    def answer(part: int) -> object:
+        time.sleep(0.02)
+        return part if os.getpid() == mine else Unreadable()
+
+    assert list(pool.map(answer, range(6))) == list(range(6))
+    assert not any(helper.alive for helper in module._beside.helpers)
