@@ -112,7 +112,7 @@ MAKERS = {
     "thesis.above": Maker(lambda: rattle.shares({words: thesis.log(name) for name, words in RUNS.items()}), logs=True),
     "thesis.multiples": Maker(lambda: f"{rattle.multiples(thesis.log('sweep'))}.", logs=True),
     "thesis.rattle": Maker(lambda: rattle.tries(thesis.log("sweep")), logs=True, long=True),
-    "own_effect.said": Maker(_own_effect),
+    "own_effect.said": Maker(_own_effect, long=True),
     "results.sflr": Maker(lambda: _results("sflr"), logs=True, long=True),
     "results.xl330": Maker(lambda: _results("xl330"), logs=True, long=True),
     "results.xl330-no-controller": Maker(lambda: _results("xl330-no-controller"), logs=True, long=True),

@@ -13,6 +13,18 @@ settings.register_profile("station", deadline=None, derandomize=True, print_blob
 settings.load_profile("station")
 
 
+def pytest_addoption(parser):
+    parser.addoption("--long", action="store_true", help="tests marked long, too: more of what others hold already")
+
+
+def pytest_collection_modifyitems(config, items):
+    """Leave out what is marked long, where it is not asked for."""
+    left = [item for item in items if item.get_closest_marker("long") and not config.getoption("--long")]
+    if left:
+        config.hook.pytest_deselected(items=left)
+        items[:] = [item for item in items if item not in set(left)]
+
+
 def pytest_terminal_summary(terminalreporter):
     """Print the figures that tests have recorded (``record_property("figure", ...)``)."""
     figures = [text for report in terminalreporter.getreports("passed") if report.when == "call"

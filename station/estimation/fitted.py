@@ -231,7 +231,7 @@ class Fit(Point):
             found = np.sum(((self.away + moved) ** 2 + variance)[:, -2:], axis=0)
             return float(value - volume), 2.0 * (len(moved) - found / sizes**2)
 
-        steps = [np.unique(np.linspace(*both, GRID)) for both in ends.T]
+        steps = [np.unique(np.linspace(low, high, GRID)) for low, high in ends.T]
         grid = np.stack(np.meshgrid(*steps), axis=-1).reshape(-1, 2)
         value, volume, _ = self._integrated(matrices, slopes, self.own_precision(np.exp(grid)))
         begun = grid[np.argmin(value - volume)]
@@ -264,17 +264,18 @@ class Fit(Point):
         anew by what they would leave (majorisation: Hunter and Lange, The American Statistician 58, 2004).  It misses
         the evidence where that ends by a fifth of the difference (11 sets of three made rigs).
         """
-        info, own, (squares, counts) = self.information, self.own_precision(weighing.differ), (self.squares, self.counts)
+        squares, counts, left = self.squares, self.counts, self.squares
+        own, info = self.own_precision(weighing.differ), self.information
         normals, slopes = (np.stack([each[owned].sum(axis=0) for owned in self._owned])
                            for each in (info.normal, info.gradient))
-        left = squares
         for _ in range(REWEIGHED):
             w = weighing.independent / np.maximum(left, counts) / weighing.temperature
             whole, volume, *_ = self._stepped(np.einsum("rb,rbij->rij", w, normals),
                                               np.einsum("rb,rbi->ri", w, slopes), own)
             left = np.maximum(squares - 2.0 * np.einsum("rbi,ri->rb", slopes, whole)
                               + np.einsum("ri,rbij,rj->rb", whole, normals, whole), 0.0)
-        return float(0.5 * (volume - self._strained(whole, own) - cost(left, counts, weighing.independent) / weighing.temperature))
+        price = cost(left, counts, weighing.independent) / weighing.temperature
+        return float(0.5 * (volume - self._strained(whole, own) - price))
 
     @cached_property
     def covariance(self) -> np.ndarray:

@@ -23,13 +23,14 @@ def said(seed: int, sensor: Sensor, friction: float = 0.0, limit: float = 255.0)
     return diagnose(Rig.model_validate(nominal), runs, effort="quick").diagnosis
 
 
-@pytest.mark.parametrize(("seed", "sensor"), [(4103, SLOW), (4105, NOISY), (4105, FINE)])
+@pytest.mark.parametrize(("seed", "sensor"), [
+    pytest.param(4103, SLOW, marks=pytest.mark.long), (4105, NOISY), (4105, FINE)])
 def test_what_a_loop_holds_is_not_held_by_friction(seed: int, sensor: Sensor) -> None:
     found = said(seed, sensor)
     assert found.causes == [] and found.verdict == "unexplained"
 
 
-@pytest.mark.parametrize("sensor", [SLOW, FINE, QUICK])
+@pytest.mark.parametrize("sensor", [SLOW, FINE, pytest.param(QUICK, marks=pytest.mark.long)])
 def test_friction_that_is_there_is_named(sensor: Sensor) -> None:
     found = said(4201, sensor, FRICTION, limit=10.0)
     assert [(cause.effect, cause.at) for cause in found.causes] == [("coulomb_friction", "motor")]

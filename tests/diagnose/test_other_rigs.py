@@ -68,7 +68,7 @@ def test_a_stiff_drive_that_hardens_is_named_alone():
     assert diagnosis.causes[0].parameters["cubic"].value == pytest.approx(cubic, rel=0.3)
 
 
-@pytest.mark.parametrize("seed", [8030, 8034])
+@pytest.mark.parametrize("seed", [8030, pytest.param(8034, marks=pytest.mark.long)])
 def test_a_bias_of_a_twentieth_of_a_count_is_named_beside_sticking_friction(seed):
     """Friction of one level leads at first; what errors count for is read off again once two levels do."""
     friction = {"effect": "stribeck_friction", "at": "motor", "static_torque": 0.019, "coulomb_torque": 0.012,

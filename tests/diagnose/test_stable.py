@@ -111,7 +111,8 @@ CHANGES: dict[str, tuple[int, tuple[Callable[..., Given], ...]]] = {
     TOGETHER: (1, (shuffled_and_moved, cut, untold, in_large_units, split)),
     "half rate": (2, (half_rate,))}
 """By so many threads; what is changed together is held to the criterion of each alone."""
-HELD = [(data, change) for data in DATA for change in CHANGES]
+HELD = [pytest.param(data, change, marks=pytest.mark.long if data == "servo" or (data, change) == ("arm", "half rate")
+                     else ()) for data in DATA for change in CHANGES]
 """What holds to that criterion."""
 
 
@@ -218,6 +219,7 @@ def laws(found: Diagnosis) -> dict[str, Cause]:
     return {cause.effect: cause for cause in found.causes}
 
 
+@pytest.mark.long
 def test_every_other_row_of_the_arm_names_the_same_laws() -> None:
     """Half the rows hold half the evidence, and yet each cause keeps at least 0.8 of what the catalogue has."""
     whole, other = plain("arm"), changed("arm", "half rate")

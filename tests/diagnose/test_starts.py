@@ -96,7 +96,8 @@ def test_a_joint_that_yields_as_the_rig_file_says_is_not_held_against_the_runs()
     assert "clamp.stiffness" not in [start.candidate.constant for start in starts]
 
 
-@pytest.mark.parametrize("joint", JOINTS)
+@pytest.mark.parametrize("joint", [pytest.param(joint, marks=pytest.mark.long if joint.startswith("clamp") else ())
+                                   for joint in JOINTS])
 def test_a_joint_that_hardly_yields_is_named(joint: str) -> None:
     table, key = joint.split(".")
     found = diagnose(ARM, runs_of(8308, table, key, 90.0), effort="quick").diagnosis
@@ -104,7 +105,8 @@ def test_a_joint_that_hardly_yields_is_named(joint: str) -> None:
     assert [cause.effect for cause in found.causes] == [f"parameter:{joint}"]
 
 
-@pytest.mark.parametrize(("key", "factor"), [("length", 0.2), ("flexural_rigidity", 0.04)])
+@pytest.mark.parametrize(("key", "factor"), [
+    ("length", 0.2), pytest.param("flexural_rigidity", 0.04, marks=pytest.mark.long)])
 def test_a_beam_that_is_quite_another_than_the_rig_file_says_is_named(key: str, factor: float) -> None:
     """From nominal the way ends in side valleys, where other causes make up for it."""
     found = diagnose(ARM, runs_of(8302, "beam", key, factor), effort="quick").diagnosis

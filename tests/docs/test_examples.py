@@ -79,7 +79,12 @@ def there(bench, tmp_path, monkeypatch) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("line", [pytest.param(line, marks=needs_qemu if "qemu://" in line else ()) for line in RUN])
+def marks(line: str) -> list[pytest.MarkDecorator]:
+    """Of a line; an investigation is tests and diagnoses that others make, three times."""
+    return [needs_qemu] * ("qemu://" in line) + [pytest.mark.long] * (line.split()[1] == "investigate")
+
+
+@pytest.mark.parametrize("line", [pytest.param(line, marks=marks(line)) for line in RUN])
 def test_the_line(station, there, line):
     arguments = shlex.split(line)[1:]
     made = [arguments[i + 1] for i, word in enumerate(arguments)

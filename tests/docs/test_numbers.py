@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -12,15 +11,12 @@ import pytest
 from scripts import kept_numbers, thesis
 from scripts.kept_numbers import MAKERS, Block
 
-LONG = "STATION_LONG"
-"""Environment variable: 1 lets those be made again, too, that take a diagnosis each."""
 BLOCKS = kept_numbers.blocks()
 
 
-@pytest.mark.parametrize("name", [name for name, block in BLOCKS.items() if block.compared])
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.long if MAKERS[name].long else ())
+                                  for name, block in BLOCKS.items() if block.compared])
 def test_a_block_says_what_is_made_now(name):
-    if MAKERS[name].long and not os.environ.get(LONG):
-        pytest.skip(f"takes a diagnosis: {LONG}=1, or scripts/numbers --check --long")
     try:
         new = kept_numbers.made(BLOCKS[name])
     except thesis.NoLogs as error:
