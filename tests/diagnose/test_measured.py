@@ -64,6 +64,7 @@ def test_the_arm_has_dry_friction() -> None:
     assert cause.effect == "coulomb_friction" and cause.probability > SURE and cause.stability > SURE
 
 
+@pytest.mark.long
 def test_of_two_logs_alone_it_is_said_that_the_motor_does_more_in_one() -> None:
     """By 28 %, between the arm's two groups of logs; no encoder's disc is so eccentric."""
     runs = [load_run(measured_log(name)) for name in ("lead_accel", "pulse")]
