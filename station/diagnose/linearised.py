@@ -71,11 +71,7 @@ class Linearised:
     @staticmethod
     def of(predictor: Predictor, parent: Fit) -> Linearised:
         """About a fit that has its derivatives."""
-        info, runs = parent.information, len(parent.squares)
-        normal, gradient = np.zeros((runs, *info.normal.shape[1:])), np.zeros((runs, *info.gradient.shape[1:]))
-        np.add.at(normal, parent.owner, info.normal)
-        np.add.at(gradient, parent.owner, info.gradient)
-        return Linearised(predictor, parent, parent.residuals, parent.squares, normal, gradient,
+        return Linearised(predictor, parent, parent.residuals, parent.squares, *parent.by_block,
                           list(range(parent.space.size)))
 
     def without(self, reduced: Parameters) -> Linearised:

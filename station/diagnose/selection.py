@@ -413,7 +413,8 @@ def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
         jobs.append((found, own))
         if complete and alike != own:
             without = found.log_expected(replace(search.compared, differ=alike))
-            jobs += [(found, alike)] if search.evidence(found) - without < CLOSE + 0.5 * MOST_GAINED else []
+            if search.evidence(found) - without < CLOSE + 0.5 * MOST_GAINED:
+                jobs.append((found, alike))
     for k, ((old, _), found) in enumerate(zip(jobs, predictor.pool.map(again, jobs), strict=True)):
         if found is not None:
             search.keep(found, old)

@@ -150,6 +150,14 @@ class Fit(Point):
         return (np.stack([np.tensordot(w[..., own, :], info.normal[own], 2) for own in self._owned], axis=-3),
                 np.stack([np.tensordot(w[..., own, :], info.gradient[own], 2) for own in self._owned], axis=-2))
 
+    @property
+    def by_block(self) -> tuple[np.ndarray, np.ndarray]:
+        """J'J (runs, b, p + c, p + c) and J'e (runs, b, p + c), not yet weighed."""
+        info = self.information
+        normals, slopes = (np.stack([each[owned].sum(axis=0) for owned in self._owned])
+                           for each in (info.normal, info.gradient))
+        return normals, slopes
+
     @cached_property
     def _owned(self) -> np.ndarray:
         """(runs, s) whether a stretch is a run's."""
@@ -265,9 +273,7 @@ class Fit(Point):
         difference it misses a seventh, and two fifths where nothing holds the rig's cause (14 sets on three made rigs).
         """
         squares, counts, left = self.squares, self.counts, self.squares
-        own, info = self.own_precision(weighing.differ), self.information
-        normals, slopes = (np.stack([each[owned].sum(axis=0) for owned in self._owned])
-                           for each in (info.normal, info.gradient))
+        own, (normals, slopes) = self.own_precision(weighing.differ), self.by_block
         for _ in range(REWEIGHED):
             w = weighing.independent / np.maximum(left, counts) / weighing.temperature
             whole, volume, *_ = self._stepped(np.einsum("rb,rbij->rij", w, normals),
