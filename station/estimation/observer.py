@@ -155,10 +155,7 @@ def _design(observer: Observer, linear: _Linear) -> tuple[Correction, tuple[floa
         return Correction(state, 0.0, 0.0, np.zeros(0)), None
     slowest = _corrected(observer, form)
     system, kept = _filter(model, horizon, slowest), form.columns(slowest)
-    try:
-        gain, log_size, slope = _designed(system, observer.variance, horizon, observer.log_size, observer.slope)
-    except np.linalg.LinAlgError:
-        gain, log_size, slope = np.full(len(kept) + 1, np.nan), math.nan, math.nan
+    gain, log_size, slope = _designed(system, observer.variance, horizon, observer.log_size, observer.slope)
     state[kept] = gain[:-1]
     found = Correction(state, float(gain[-1]), system.decay, np.zeros(0))
     return found, (float(log_size), float(slope)) if np.isfinite(gain).all() else None
@@ -277,28 +274,73 @@ def _observer(linear: str, variance: float, horizon: float) -> Observer:
     return Observer(horizon, variance, slowest.size, log_size).near(model)
 
 
-@njit(cache=True, nogil=True)
-def _doublings(horizon, period):
+def _doublings(horizon: float, period: float) -> int:
     """Of the rows over which the filter's covariance settles."""
     return math.ceil(math.log2(LASTS * horizon / period))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _product(a, b):
+    """a b."""
+    out = np.zeros((a.shape[0], b.shape[1]))
+    for i in range(a.shape[0]):
+        for k in range(a.shape[1]):
+            for j in range(b.shape[1]):
+                out[i, j] += a[i, k] * b[k, j]
+    return out
+
+
+@njit(cache=True, nogil=True, fastmath={"contract"}, error_model="numpy")
+def _solved(a, b):
+    """a^-1 b, by elimination with partial pivoting; not finite where there is none.
+
+    numpy.linalg.solve takes Numba a quarter of a minute to compile, and is no quicker for matrices of this size.
+    """
+    a, out, size = a.copy(), b.copy(), a.shape[0]
+    for k in range(size):
+        pivot = k
+        for i in range(k + 1, size):
+            if abs(a[i, k]) > abs(a[pivot, k]):
+                pivot = i
+        for j in range(k, size):
+            a[k, j], a[pivot, j] = a[pivot, j], a[k, j]
+        for j in range(size):
+            out[k, j], out[pivot, j] = out[pivot, j], out[k, j]
+        for i in range(k + 1, size):
+            factor = a[i, k] / a[k, k]
+            for j in range(k + 1, size):
+                a[i, j] -= factor * a[k, j]
+            for j in range(size):
+                out[i, j] -= factor * out[k, j]
+    for k in range(size - 1, -1, -1):
+        for i in range(k + 1, size):
+            for j in range(size):
+                out[k, j] -= a[k, i] * out[i, j]
+        for j in range(size):
+            out[k, j] /= a[k, k]
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _gain(system, variance, log_size, doublings):
     """(s) gain of the filter, its covariance by the doubling algorithm (Anderson and Moore, Optimal Filtering, 1979,
-    section 6.7)."""
+    section 6.7); not finite where it has none."""
     f, h, enters, _, decay, _ = system
-    a, g, eye = f.T.copy(), np.outer(h, h) / variance, np.eye(h.size)
-    p = math.exp(2.0 * log_size) * (1.0 - decay**2) * np.outer(enters, enters)
+    size = h.size
+    a, row, column = f.T.copy(), h.reshape((1, size)), h.reshape((size, 1))
+    g = _product(column, row / variance)
+    p = _product(enters.reshape((size, 1)), enters.reshape((1, size)) * (math.exp(2.0 * log_size) * (1.0 - decay**2)))
     for _ in range(doublings):
-        solved = np.linalg.solve(eye + np.dot(g, p), np.hstack((a, g)))
-        b, c = solved[:, : h.size].copy(), solved[:, h.size:].copy()
-        p = p + np.dot(a.T, np.dot(p, b))
+        plus = _product(g, p)
+        for i in range(size):
+            plus[i, i] += 1.0
+        b, c, transposed = _solved(plus, a), _solved(plus, g), a.T.copy()
+        p = p + _product(transposed, _product(p, b))
         p = 0.5 * (p + p.T)
-        g = g + np.dot(a, np.dot(c, a.T))
-        a = np.dot(a, b)
-    seen = np.dot(p, h)
-    return seen / (np.dot(h, seen) + variance)
+        g = g + _product(a, _product(c, transposed))
+        a = _product(a, b)
+    seen = _product(p, column)
+    return seen[:, 0] / (_product(row, seen)[0, 0] + variance)
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
@@ -319,21 +361,22 @@ def _excess(system, horizon, gain):
     return math.log(total / horizon)
 
 
-@njit(cache=True, nogil=True)
-def _designed(system, variance, horizon, log_size, slope):
+def _designed(system: _Filter, variance: float, horizon: float, log_size: float,
+              slope: float) -> tuple[np.ndarray, float, float]:
     """(s) gain whose memory is the horizon, the logarithm of the torque's size, and the slope there."""
-    before, doublings, most = log_size, _doublings(horizon, system.period), LONGEST
-    gain = _gain(system, variance, before, doublings)
-    missed = _excess(system, horizon, gain)
-    for _ in range(STEPS):
-        here = before - min(max(missed / slope, -most), LONGEST)
+    doublings, here, near, most = _doublings(horizon, system.period), log_size, False, LONGEST
+    gain, before, missed = system.h, log_size, 0.0
+    for step in range(STEPS + 1):
         found = _gain(system, variance, here, doublings)
-        if abs(missed) < NEAR:
+        if near:
             return found, here, slope
         now = _excess(system, horizon, found)
-        if here > before and now - missed > FLAT * (here - before):
+        if step > 0 and here > before and now - missed > FLAT * (here - before):
             most = 0.5 * (here - before)
-            continue
-        slope = min((now - missed) / (here - before), FLAT)
-        gain, before, missed = found, here, now
+        else:
+            if step > 0:
+                slope = min((now - missed) / (here - before), FLAT)
+            gain, before, missed = found, here, now
+        near = abs(missed) < NEAR
+        here = before - min(max(missed / slope, -most), LONGEST)
     return gain, before, slope
