@@ -692,6 +692,7 @@ def test_effects_need_their_part():
 # --- a geared servo -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_servo_case_hides_friction_by_load_and_need_not_say_what_closed_its_loops():
     told, silent = (tr.make_case(21, ["load_friction"], nominal=tr.SERVO, count=4, known_controller=known)
                     for known in (True, False))
@@ -836,6 +837,7 @@ def test_what_a_path_does_behind_a_response_is_worked_out_tick_by_tick():
     assert shocks(n, decay) @ shocks(n, decay).T == pytest.approx(decay**ages, rel=1e-12)
 
 
+@pytest.mark.long
 def test_the_pieces_of_a_long_run_are_parts_of_its_whole(monkeypatch):
     truth, world, quiet, run = looped("lead", 0.02, 3)
     (rows, whole), = covariances(world, truth, quiet, run)
@@ -846,6 +848,7 @@ def test_the_pieces_of_a_long_run_are_parts_of_its_whole(monkeypatch):
         assert piece == pytest.approx(whole[np.ix_(part, part)], rel=1e-6, abs=1e-9 * whole.max())
 
 
+@pytest.mark.long
 def test_severity_in_a_world_takes_its_disturbances_for_what_they_are():
     """Chi squared by disturbance counts for no more than its share of the degrees of freedom."""
     case = tr.make_case(301, ["coulomb_friction"], count=3)

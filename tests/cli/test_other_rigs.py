@@ -23,9 +23,11 @@ def without(*parts: str) -> Rig:
 RIGS = {"axis": Rig.model_validate(RIGID_AXIS), "two-mass": Rig.model_validate(TWO_MASS),
         "no-drive": without("drive"), "no-clamp": without("clamp"), "no-accelerometer": without("accelerometer"),
         "no-beam": without("beam", "clamp", "tip", "accelerometer")}
+LONG = "no-clamp", "no-accelerometer", "no-beam"
+"""Between the arm and a two-mass rig."""
 
 
-@pytest.fixture(params=RIGS)
+@pytest.fixture(params=[pytest.param(name, marks=pytest.mark.long if name in LONG else ()) for name in RIGS])
 def rig(request, tmp_path, monkeypatch) -> Rig:
     """A rig, as rig.toml in the current folder."""
     monkeypatch.chdir(tmp_path)

@@ -53,8 +53,9 @@ def test_runs_of_one_supply_show_no_difference() -> None:
     assert said.between_runs.probability == said.between_runs.stability == {}
 
 
-@pytest.mark.parametrize(("seed", "hidden"), [(8014, ("encoder_eccentricity", "encoder")),
-                                              (8015, ("command_bias", "amplifier"))])
+@pytest.mark.parametrize(("seed", "hidden"), [
+    pytest.param(8014, ("encoder_eccentricity", "encoder"), marks=pytest.mark.long),
+    (8015, ("command_bias", "amplifier"))])
 def test_where_a_cause_leaves_only_noise_no_difference_between_runs_stands_for_it(seed: int, hidden: tuple[str, str],
                                                                                  ) -> None:
     """A gain or a bias of each run's own does much the same to each run, and costs what any one cause does."""
@@ -64,7 +65,7 @@ def test_where_a_cause_leaves_only_noise_no_difference_between_runs_stands_for_i
     assert said.between_runs is not None and not said.between_runs.runs
 
 
-@pytest.mark.parametrize("shares", [(0.5, 1.6, 0.7, 1.3, 0.9), (1.0,) * 5])
+@pytest.mark.parametrize("shares", [(0.5, 1.6, 0.7, 1.3, 0.9), pytest.param((1.0,) * 5, marks=pytest.mark.long)])
 def test_friction_that_differs_from_run_to_run_is_told_with_its_spread(shares: tuple[float, ...]) -> None:
     """Each run of the independent generator with its own friction: told are the value and by how much it differs."""
     case = make_case(8010, [("coulomb_friction", "motor")], nominal=RIGID_AXIS, count=len(shares))

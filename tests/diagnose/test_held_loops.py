@@ -24,13 +24,14 @@ def said(seed: int, sensor: Sensor, friction: float = 0.0, limit: float = 255.0)
 
 
 @pytest.mark.parametrize(("seed", "sensor"), [
-    pytest.param(4103, SLOW, marks=pytest.mark.long), (4105, NOISY), (4105, FINE)])
+    pytest.param(4103, SLOW, marks=pytest.mark.long),
+    pytest.param(4105, NOISY, marks=pytest.mark.long), (4105, FINE)])
 def test_what_a_loop_holds_is_not_held_by_friction(seed: int, sensor: Sensor) -> None:
     found = said(seed, sensor)
     assert found.causes == [] and found.verdict == "unexplained"
 
 
-@pytest.mark.parametrize("sensor", [SLOW, FINE, pytest.param(QUICK, marks=pytest.mark.long)])
+@pytest.mark.parametrize("sensor", [SLOW, *(pytest.param(sensor, marks=pytest.mark.long) for sensor in (FINE, QUICK))])
 def test_friction_that_is_there_is_named(sensor: Sensor) -> None:
     found = said(4201, sensor, FRICTION, limit=10.0)
     assert [(cause.effect, cause.at) for cause in found.causes] == [("coulomb_friction", "motor")]

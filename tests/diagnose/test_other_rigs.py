@@ -68,7 +68,8 @@ def test_a_stiff_drive_that_hardens_is_named_alone():
     assert diagnosis.causes[0].parameters["cubic"].value == pytest.approx(cubic, rel=0.3)
 
 
-@pytest.mark.parametrize("seed", [8030, pytest.param(8034, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [8030, 8034])
 def test_a_bias_of_a_twentieth_of_a_count_is_named_beside_sticking_friction(seed):
     """Friction of one level leads at first; what errors count for is read off again once two levels do."""
     friction = {"effect": "stribeck_friction", "at": "motor", "static_torque": 0.019, "coulomb_torque": 0.012,
@@ -82,6 +83,7 @@ def test_a_bias_of_a_twentieth_of_a_count_is_named_beside_sticking_friction(seed
     assert offset.low < -0.05 < offset.high
 
 
+@pytest.mark.long
 def test_a_clean_two_mass_rig_is_not_accused_of_what_an_observers_gains_do_with_the_sensors_noise():
     """Its errors by the quick horizon are smaller with a gap in the drive: the gap's gains feed less noise back."""
     case = make_case(1010416, [], nominal=TWO_MASS, count=None)

@@ -96,8 +96,8 @@ def test_a_joint_that_yields_as_the_rig_file_says_is_not_held_against_the_runs()
     assert "clamp.stiffness" not in [start.candidate.constant for start in starts]
 
 
-@pytest.mark.parametrize("joint", [pytest.param(joint, marks=pytest.mark.long if joint.startswith("clamp") else ())
-                                   for joint in JOINTS])
+@pytest.mark.long
+@pytest.mark.parametrize("joint", JOINTS)
 def test_a_joint_that_hardly_yields_is_named(joint: str) -> None:
     table, key = joint.split(".")
     found = diagnose(ARM, runs_of(8308, table, key, 90.0), effort="quick").diagnosis

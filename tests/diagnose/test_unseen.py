@@ -11,7 +11,7 @@ from station.rig import Rig
 from tests.diagnose.blind import RIGS, blind_task, made
 
 
-@pytest.mark.parametrize("against", [False, True])
+@pytest.mark.parametrize("against", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_the_gain_is_that_of_the_rig_that_is_handed_back(monkeypatch: pytest.MonkeyPatch, against: bool) -> None:
     """Causes that runs left out speak against are not stated, and nothing that is shown holds them."""
     monkeypatch.setattr(unseen, "contradicted", lambda gains, relieved: against)

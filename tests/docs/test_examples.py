@@ -81,7 +81,8 @@ def there(bench, tmp_path, monkeypatch) -> Path:
 
 def marks(line: str) -> list[pytest.MarkDecorator]:
     """Of a line; an investigation is tests and diagnoses that others make, three times."""
-    return [needs_qemu] * ("qemu://" in line) + [pytest.mark.long] * (line.split()[1] == "investigate")
+    again = line.split()[1] == "investigate" or line.startswith("station diagnose --rig fitted.toml")
+    return [needs_qemu] * ("qemu://" in line) + [pytest.mark.long] * again
 
 
 @pytest.mark.parametrize("line", [pytest.param(line, marks=marks(line)) for line in RUN])

@@ -46,6 +46,7 @@ def test_starts_from_the_prior_end_in_one_minimum_and_say_so(predictor: Predicto
     assert found.space.rig_at(found.x).motor.inertia == AXIS.motor.inertia
 
 
+@pytest.mark.long
 def test_how_much_runs_differ_is_found_wherever_the_fit_begins() -> None:
     """Runs of a disturbed arm: begun with runs that may not differ, the fit takes what each has of its own for errors
     so large that freeing it a little seems to buy nothing."""

@@ -102,7 +102,7 @@ def terminal(result: DiagnosisResult) -> str:
     return re.sub(r"\s+", " ", out.getvalue())
 
 
-@settings(max_examples=100, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(suppress_health_check=list(HealthCheck))
 @given(results())
 def test_no_two_sentences_contradict_each_other(result: DiagnosisResult) -> None:
     sentence = wording.verdict_sentence(result.diagnosis, result.rig)

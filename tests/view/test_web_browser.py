@@ -144,6 +144,7 @@ def test_the_viewer_draws_the_recording_and_nothing_leaves_this_machine(served, 
     assert outside.hosts == set()
 
 
+@pytest.mark.long
 def test_a_log_is_drawn_in_its_blueprints_colours(tmp_path):
     """What `rerun RUN.mcap RUN.rbl` shows: a line of its own for each column, which the log alone does not have."""
     log = tmp_path / "log.mcap"
