@@ -84,7 +84,7 @@ def prepare():
         except (OSError, subprocess.CalledProcessError) as error:
             stop(f"{VENV}: could not be made: {error}")
     stamp.unlink(missing_ok=True)
-    command = [*pip(), "install", "-qq", "--disable-pip-version-check", "--no-input", "-c", LOCK,
+    command = [*pip(), "install", "-qq", "--disable-pip-version-check", "--no-input", "--no-compile", "-c", LOCK,
                "-e", f"{ROOT}[{','.join(extras())}]"]
     quiet = {**os.environ, "PYTHONWARNINGS": "ignore"}      # setuptools' remarks on editable installs
     if subprocess.run(command, env=quiet).returncode != 0:

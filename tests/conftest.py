@@ -9,7 +9,7 @@ from station.estimation import pool
 if int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")) > 1:
     pool.SIZE = 1       # every core is at tests already; processes beside them cost an eighth more
 
-settings.register_profile("station", deadline=None, derandomize=True, print_blob=True, max_examples=60)
+settings.register_profile("station", deadline=None, derandomize=True, print_blob=True, max_examples=30)
 settings.register_profile("long", settings.get_profile("station"), max_examples=400)
 
 

@@ -21,7 +21,9 @@ def test_there_is_one_for_each_use():
                                                  "5_compensator"]
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [
+    pytest.param(path, id=path.stem, marks=pytest.mark.long if path.stem == "4_own_effect" else ())
+    for path in NOTEBOOKS])
 def test_a_notebook_runs_and_shows_what_it_makes(path, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     book = nbformat.read(path, as_version=4)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 
@@ -20,6 +21,7 @@ class UnknownUnitError(ValueError):
     """A unit that is not made of N, kg, m, s, rad, rev and counts."""
 
 
+@cache
 def dimension(unit: str) -> tuple[int, int, int]:
     """Powers of (torque, length, time) in a unit such as "N m s^2/rad^2"; angles and counts are numbers."""
     total = np.zeros(3, dtype=int)

@@ -91,6 +91,7 @@ def test_another_program_finds_the_device_at_a_socket(station, tmp_path, board):
     assert process.returncode == 0 and "Traceback" not in err
 
 
+@pytest.mark.long
 def test_a_sealed_rig_is_tested_diagnosed_and_opened(station, tmp_path):
     """As the README says it: nothing of what is hidden stands in the runs; the seal's words judge the diagnosis."""
     files = []

@@ -23,7 +23,7 @@ def without(*parts: str) -> Rig:
 RIGS = {"axis": Rig.model_validate(RIGID_AXIS), "two-mass": Rig.model_validate(TWO_MASS),
         "no-drive": without("drive"), "no-clamp": without("clamp"), "no-accelerometer": without("accelerometer"),
         "no-beam": without("beam", "clamp", "tip", "accelerometer")}
-LONG = "no-clamp", "no-accelerometer", "no-beam"
+LONG = "no-drive", "no-clamp", "no-accelerometer", "no-beam"
 """Between the arm and a two-mass rig."""
 
 

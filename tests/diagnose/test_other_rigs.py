@@ -29,7 +29,7 @@ TABLES = {"axis": RIGID_AXIS, "two-mass": TWO_MASS,
           "no-accelerometer": {key: value for key, value in SFLR.items() if key != "accelerometer"}}
 HIDDEN = [("axis", 8001, "coulomb_friction", "motor"), ("axis", 8002, "dead_zone", "amplifier"),
           ("two-mass", 8012, "gain_asymmetry", "amplifier"),
-          ("no-accelerometer", 8000, "coulomb_friction", "motor")]
+          pytest.param("no-accelerometer", 8000, "coulomb_friction", "motor", marks=pytest.mark.long)]
 
 
 @cache

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 
+import pytest
+
 from station.diagnose.diagnose import diagnose
 from station.rig import Rig
 from tests.truth import SFLR, make_case
@@ -12,6 +14,7 @@ STIFF = 500.0
 """Times the stiffness that the rig file states, with a fifth as its uncertainty."""
 
 
+@pytest.mark.long
 def test_a_drive_that_hardly_yields_is_told_from_the_soft_one_of_the_rig_file() -> None:
     true = copy.deepcopy(SFLR)
     true["drive"]["stiffness"] *= STIFF

@@ -111,8 +111,8 @@ CHANGES: dict[str, tuple[int, tuple[Callable[..., Given], ...]]] = {
     TOGETHER: (1, (shuffled_and_moved, cut, untold, in_large_units, split)),
     "half rate": (2, (half_rate,))}
 """By so many threads; what is changed together is held to the criterion of each alone."""
-HELD = [pytest.param(data, change, marks=pytest.mark.long if data == "arm" or (data, change) == ("servo", "half rate")
-                     else ()) for data in DATA for change in CHANGES]
+HELD = [pytest.param(data, change, marks=pytest.mark.long if data != "made" else ())
+        for data in DATA for change in CHANGES]
 """What holds to that criterion."""
 
 
@@ -235,7 +235,8 @@ def overlapping(one: dict[str, Cause], other: dict[str, Cause]) -> bool:
     return bool(pairs) and all(a.low < b.high and b.low < a.high for a, b in pairs)
 
 
-@pytest.mark.parametrize("data", ["servo", pytest.param("arm", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("data", ["servo", "arm"])
 def test_of_a_measured_rig_no_cause_is_surer_than_that_the_catalogue_holds_what_acts(data: str) -> None:
     found = plain(data)
     assert found.verdict == "partly_explained"
@@ -247,6 +248,7 @@ def test_the_made_case_is_one_in_which_something_is_said() -> None:
     assert ("coulomb_friction", "motor") in keyed(plain("made"))
 
 
+@pytest.mark.long
 def test_a_servos_gears_lose_torque_with_their_load_whether_or_not_its_controller_is_known() -> None:
     for found in (plain("servo"), changed("servo", TOGETHER)):
         cause, *_ = found.causes

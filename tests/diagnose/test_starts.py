@@ -67,7 +67,7 @@ def test_where_every_constant_is_about_right_no_fit_begins_elsewhere() -> None:
 
 
 @pytest.mark.parametrize("joint", JOINTS)
-@pytest.mark.parametrize("factor", [15.0, 90.0])
+@pytest.mark.parametrize("factor", [15.0, pytest.param(90.0, marks=pytest.mark.long)])
 def test_a_joint_that_hardly_yields_is_begun_where_the_fit_ends_as_from_the_truth(joint: str, factor: float) -> None:
     """Freed at once from nominal it slides back, and the fit ends in a side valley."""
     table, key = joint.split(".")

@@ -39,6 +39,9 @@ ELSEWHERE = {"python scripts/demo": "tests/cli/test_diagnosis.py runs the demo b
 """Lines that are not run here, and why."""
 QUICK = {"diagnose", "investigate"}
 UNTIL_CTRL_C = {"device"}
+LONG = {*(f"station diagnose --rig {rig}.toml pulse.mcap step.mcap sweep.mcap --report report.html"
+          for rig in ("fitted", "my_rig")), "station campaign plan.toml --out campaign"}
+"""As others do."""
 EVERY = sorted({(line, page.name) for page in PAGES if page != TUTORIAL for line in lines(page)})
 STATION = sorted({line.replace("/dev/ttyUSB0", "sim://sflr") for line, _ in EVERY if line.startswith("station ")}
                  | {EXAMPLES[name] for name in SLOW - {"demo"}})
@@ -81,7 +84,7 @@ def there(bench, tmp_path, monkeypatch) -> Path:
 
 def marks(line: str) -> list[pytest.MarkDecorator]:
     """Of a line; an investigation is tests and diagnoses that others make, three times."""
-    again = line.split()[1] == "investigate" or line.startswith("station diagnose --rig fitted.toml")
+    again = line.split()[1] == "investigate" or line in LONG
     return [needs_qemu] * ("qemu://" in line) + [pytest.mark.long] * again
 
 

@@ -86,6 +86,7 @@ def test_the_order_of_the_runs_is_no_matter():
     assert fit(nominal, runs[::-1], SCALES, starts=1).constants == plain(SEED).constants
 
 
+@pytest.mark.long
 def test_intervals_hold_the_constants_of_rigs_drawn_from_the_stated_uncertainty():
     seeds = range(11, 27)
     inside = [c.low <= hidden(seed)[0].constants()[c.path] <= c.high for seed in seeds for c in plain(seed).constants]

@@ -157,6 +157,7 @@ def test_lines_and_points_are_told_apart_without_colour(browser: Any, report: Pa
     page.context.close()
 
 
+@pytest.mark.long
 def test_paper_shows_what_the_screen_folds(browser: Any, report: Path) -> None:
     watched = Watched(browser, viewport=DESK)
     page = watched.open(report)
@@ -179,6 +180,7 @@ def test_paper_shows_what_the_screen_folds(browser: Any, report: Path) -> None:
     page.context.close()
 
 
+@pytest.mark.long
 def test_dark_mode_and_paper_turn_the_page_and_its_figures(browser: Any, report: Path) -> None:
     watched = Watched(browser, viewport={"width": 700, "height": 1000}, color_scheme="light")
     page = watched.open(report)

@@ -120,6 +120,7 @@ def test_a_picture_of_one_colour_counts_as_blank():
     assert colours(blank.getvalue()) == 1
 
 
+@pytest.mark.long
 def test_the_viewer_draws_the_recording_and_nothing_leaves_this_machine(served, outside):
     _, page, data = served
     proxied = [f"--proxy-server=http://{LOOPBACK}:{outside.port}", *SOFTWARE_GL]
