@@ -21,8 +21,8 @@ FIRST_SEED = 80000
 PERFECT = {2: [("input_delay", None)], 5: [("command_bias", None)], 6: []}
 IMPERFECT = {7: [("input_delay", None)], 8: []}
 """What is hidden, by the seed beyond the first."""
-LONG = FIRST_SEED + 2, FIRST_SEED + 5, FIRST_SEED + 6
-"""In the perfect world, which other tests have, too."""
+LONG = {FIRST_SEED + i for i in (*PERFECT, 8)}
+"""What other tests have, too: the perfect world, and a clean rig."""
 LEVEL = 0.02
 """Of an imperfect world: share of the command's torque and of the accelerometer's signal."""
 

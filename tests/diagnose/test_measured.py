@@ -74,6 +74,7 @@ def test_of_two_logs_alone_it_is_said_that_the_motor_does_more_in_one() -> None:
     assert said.between_runs is not None and said.between_runs.probability["share"] > SURE
 
 
+@pytest.mark.long
 def test_the_servos_friction_grows_with_its_load_and_its_runs_are_met() -> None:
     """By hand, fitted to all: 25 mrad; asked of runs left out: 30."""
     result = servo()

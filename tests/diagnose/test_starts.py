@@ -105,8 +105,8 @@ def test_a_joint_that_hardly_yields_is_named(joint: str) -> None:
     assert [cause.effect for cause in found.causes] == [f"parameter:{joint}"]
 
 
-@pytest.mark.parametrize(("key", "factor"), [
-    ("length", 0.2), pytest.param("flexural_rigidity", 0.04, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize(("key", "factor"), [("length", 0.2), ("flexural_rigidity", 0.04)])
 def test_a_beam_that_is_quite_another_than_the_rig_file_says_is_named(key: str, factor: float) -> None:
     """From nominal the way ends in side valleys, where other causes make up for it."""
     found = diagnose(ARM, runs_of(8302, "beam", key, factor), effort="quick").diagnosis
