@@ -7,8 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import solve_discrete_are
 
-from station.estimation.observer import UNMODELLED, Observer, correction, noise_gain, observers
+from station.estimation.observer import (
+    UNMODELLED,
+    Observer,
+    _filter,
+    _gain,
+    _slowest,
+    _solved,
+    correction,
+    noise_gain,
+    observers,
+)
 from station.model.effects import effect_class
 from station.model.simulate import build, initial_state
 from station.model.stepper import advance, begin, sense
@@ -148,6 +159,28 @@ def test_another_mesh_is_corrected_alike(elements: int) -> None:
     seen = [[m.assembly.motor, m.assembly.base, m.assembly.root] for m in (one, other)]
     moved = [(m.form.basis @ correction(observer, m).state)[at] for m, at in zip((one, other), seen, strict=True)]
     assert moved[1] == pytest.approx(moved[0], rel=1e-3)
+
+
+@pytest.mark.parametrize("log_size", [-3.0, 2.0])
+@pytest.mark.parametrize("shape", RIGS)
+def test_the_gain_is_that_of_scipys_riccati_equation(shape: str, log_size: float) -> None:
+    """The steady one, after a million rows."""
+    model, horizon, variance = build(bare(shape), 0.1, 1e-3), 0.05, 0.1
+    system = _filter(model, horizon, _slowest(model, horizon))
+    noise = math.exp(2.0 * log_size) * (1.0 - system.decay**2) * np.outer(system.enters, system.enters)
+    p = solve_discrete_are(system.f.T, system.h[:, None], noise, [[variance]])
+    expected = p @ system.h / (system.h @ p @ system.h + variance)
+    np.testing.assert_allclose(_gain(system, variance, log_size, 20), expected, atol=1e-10 * np.abs(expected).max())
+
+
+def test_elimination_chooses_its_pivots() -> None:
+    """Not so where the first one is 0."""
+    rng = np.random.default_rng(3)
+    for size in (1, 2, 7, 13):
+        a, b = rng.standard_normal((size, size)), rng.standard_normal((size, size))
+        a[0, 0] = 0.0 if size > 1 else 2.0
+        np.testing.assert_allclose(_solved(a, b), np.linalg.solve(a, b), rtol=1e-9)
+    assert not np.isfinite(_solved(np.ones((2, 2)), np.eye(2))).any()
 
 
 def test_a_rig_that_has_no_observer_is_not_finite() -> None:
