@@ -191,7 +191,8 @@ def test_a_reset_in_the_middle_of_a_step_leaves_the_drive_off(paced):
     for _ in range(times):
         watched = started(paced)
         paced.reset()
-        assert watched.until(lambda word: word.letter == "B" and word.value == Reset.PIN) is not None
+        reset = watched.until(lambda word: word.letter == "B" and word.value == Reset.PIN)
+        assert reset is not None, [(word.letter, word.value) for _, word in watched.words[watched.mark:]][-20:]
         time.sleep(0.02)
         first = next(i for i, (_, word) in enumerate(watched.words[watched.mark:]) if word.letter == "B")
         assert not any(word.enabled or word.value for _, word in watched.words[watched.mark + first + 1:])
