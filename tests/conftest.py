@@ -9,16 +9,12 @@ from station.estimation import pool
 if int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")) > 1:
     pool.SIZE = 1       # every core is at tests already; processes beside them cost an eighth more
 
-settings.register_profile("station", deadline=None, derandomize=True, print_blob=True, max_examples=30)
-settings.register_profile("long", settings.get_profile("station"), max_examples=400)
+settings.register_profile("station", deadline=None, derandomize=True, print_blob=True)
+settings.load_profile("station")
 
 
 def pytest_addoption(parser):
     parser.addoption("--long", action="store_true", help="tests marked long, too: more of what others hold already")
-
-
-def pytest_configure(config):
-    settings.load_profile("long" if config.getoption("--long") else "station")
 
 
 def pytest_collection_modifyitems(config, items):

@@ -364,19 +364,18 @@ def _excess(system, horizon, gain):
 def _designed(system: _Filter, variance: float, horizon: float, log_size: float,
               slope: float) -> tuple[np.ndarray, float, float]:
     """(s) gain whose memory is the horizon, the logarithm of the torque's size, and the slope there."""
-    doublings, here, near, most = _doublings(horizon, system.period), log_size, False, LONGEST
-    gain, before, missed = system.h, log_size, 0.0
-    for step in range(STEPS + 1):
+    before, doublings, most = log_size, _doublings(horizon, system.period), LONGEST
+    gain = _gain(system, variance, before, doublings)
+    missed = _excess(system, horizon, gain)
+    for _ in range(STEPS):
+        here = before - min(max(missed / slope, -most), LONGEST)
         found = _gain(system, variance, here, doublings)
-        if near:
+        if abs(missed) < NEAR:
             return found, here, slope
         now = _excess(system, horizon, found)
-        if step > 0 and here > before and now - missed > FLAT * (here - before):
+        if here > before and now - missed > FLAT * (here - before):
             most = 0.5 * (here - before)
-        else:
-            if step > 0:
-                slope = min((now - missed) / (here - before), FLAT)
-            gain, before, missed = found, here, now
-        near = abs(missed) < NEAR
-        here = before - min(max(missed / slope, -most), LONGEST)
+            continue
+        slope = min((now - missed) / (here - before), FLAT)
+        gain, before, missed = found, here, now
     return gain, before, slope

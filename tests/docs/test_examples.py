@@ -41,7 +41,7 @@ QUICK = {"diagnose", "investigate"}
 UNTIL_CTRL_C = {"device"}
 LONG = {*(f"station diagnose --rig {rig}.toml pulse.mcap step.mcap sweep.mcap --report report.html"
           for rig in ("fitted", "my_rig")), "station campaign plan.toml --out campaign"}
-"""As others do."""
+"""Do once more what other lines do, or tests/cli."""
 EVERY = sorted({(line, page.name) for page in PAGES if page != TUTORIAL for line in lines(page)})
 STATION = sorted({line.replace("/dev/ttyUSB0", "sim://sflr") for line, _ in EVERY if line.startswith("station ")}
                  | {EXAMPLES[name] for name in SLOW - {"demo"}})

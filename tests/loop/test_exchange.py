@@ -13,7 +13,7 @@ import time
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from station.control.compensators import Compensator
@@ -101,6 +101,7 @@ def told(respond, *given):
         return type(error), str(error)
 
 
+@settings(max_examples=400)
 @given(SPECS, st.sampled_from([0, 1, 60, 200, 32767]), st.sampled_from([0, 7, 300]), st.sampled_from([0, 40]),
        st.integers(-500, 500), st.floats(-20.0, 20.0), st.sampled_from(ANSWERS), st.randoms(use_true_random=False))
 def test_every_controller_and_the_guard_answer_as_python_does(spec, limit, travel, speed, start, accel_zero,

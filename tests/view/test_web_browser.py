@@ -166,6 +166,7 @@ def test_a_log_is_drawn_in_its_blueprints_colours(tmp_path):
     assert wanted <= lines
 
 
+@pytest.mark.long
 def test_reruns_own_page_does_ask_outside(served, outside):
     """The control: without Station's page the same listener hears of it."""
     _, page, _ = served
