@@ -313,10 +313,9 @@ class Rig(_Table):
         damping and gain (of those that the table has).
         """
         covariance = np.diag([self.sigma(path) ** 2 for path in paths])
-        for table in {path.split(".")[0] for path in paths}:
-            common = self.uncertainty.get(table, 0.0)
-            shared = [i for i, p in enumerate(paths)
-                      if p.split(".")[0] == table and p.split(".")[1] in ("inertia", "damping", "gain")]
+        for table, common in self.uncertainty.items():
+            shared = [i for i, path in enumerate(paths)
+                      if path in (f"{table}.inertia", f"{table}.damping", f"{table}.gain")]
             covariance[np.ix_(shared, shared)] += common**2
         return covariance
 

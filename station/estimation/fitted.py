@@ -65,6 +65,45 @@ class Point:
 
 
 @dataclass(frozen=True, eq=False)
+class _Differing:
+    """What runs say of what each does more than the rig, a share of the command and a constant, run by run (2 runs)."""
+
+    rig: Rig
+    precision: np.ndarray
+    """(2 runs, 2 runs) of the data."""
+    force: np.ndarray
+    """(2 runs) the data's slope where the fit has them."""
+    away: np.ndarray
+    """(2 runs) how far from their priors' means that is."""
+
+    def _at(self, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(...) marginal log likelihood, up to a constant, of ``sizes`` (..., 2), and there the posterior's covariance
+        (..., 2 runs, 2 runs) and how far it moves them from the fit (..., 2 runs)."""
+        own = np.tile(differ_precision(self.rig, sizes), len(self.away) // 2)
+        covariance = np.linalg.inv(self.precision + own[..., None] * np.eye(len(self.away)))
+        force = self.force - own * self.away
+        moved = (covariance @ force[..., None])[..., 0]
+        volume = np.log(own).sum(axis=-1) + np.linalg.slogdet(covariance)[1]
+        return 0.5 * (volume + (force * moved).sum(axis=-1) - own @ self.away**2), covariance, moved
+
+    def log_likelihoods(self, sizes: np.ndarray) -> np.ndarray:
+        """(...) marginal, up to a constant, of ``sizes`` (..., 2)."""
+        return self._at(sizes)[0]
+
+    def surprise(self, logs: np.ndarray) -> tuple[float, np.ndarray]:
+        """Minus twice that, and its slope (2), at the logarithms of sizes (2).
+
+        The slope follows from the runs' squares and what these leave uncertain (the identity behind expectation and
+        maximisation: Dempster, Laird and Rubin, J. R. Stat. Soc. B 39, 1977); these rounds themselves take hundreds to
+        arrive where runs are alike.
+        """
+        sizes = np.exp(logs)
+        value, covariance, moved = self._at(sizes)
+        squares = ((self.away + moved) ** 2 + covariance.diagonal()).reshape(-1, 2)
+        return float(-2.0 * value), 2.0 * (len(squares) - squares.sum(axis=0) / sizes**2)
+
+
+@dataclass(frozen=True, eq=False)
 class Fit(Point):
     """A fitted hypothesis."""
 
@@ -145,12 +184,15 @@ class Fit(Point):
 
     def _by_run(self, weighing: Weighing, drawn: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """J'WJ (..., runs, p + c, p + c) and J'We (..., runs, p + c)."""
-        info, w = self.information, self.blocks(weighing, drawn)[..., self.owner, :]
-        w = w if drawn is None else w * drawn[..., None]
+        w, info = self.blocks(weighing, drawn), self.information
+        if drawn is None:
+            normals, slopes = self.by_block
+            return np.einsum("rb,rbij->rij", w, normals), np.einsum("rb,rbi->ri", w, slopes)
+        w = w[..., self.owner, :] * drawn[..., None]
         return (np.stack([np.tensordot(w[..., own, :], info.normal[own], 2) for own in self._owned], axis=-3),
                 np.stack([np.tensordot(w[..., own, :], info.gradient[own], 2) for own in self._owned], axis=-2))
 
-    @property
+    @cached_property
     def by_block(self) -> tuple[np.ndarray, np.ndarray]:
         """J'J (runs, b, p + c, p + c) and J'e (runs, b, p + c), not yet weighed."""
         info = self.information
@@ -178,11 +220,9 @@ class Fit(Point):
         return (matrices[..., :p, :p] - across @ matrices[..., p:, :p],
                 slopes[..., :p] - (across @ force[..., None])[..., 0], inverse, force)
 
-    def _stepped(self, matrices: np.ndarray, slopes: np.ndarray, own: np.ndarray,
-                 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def _stepped(self, matrices: np.ndarray, slopes: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """One Gauss-Newton step from the fit, for each of the prior precisions ``own`` (..., runs, c): the step
-        (..., runs, p + c); ln of the squared volume that the data leave of the priors' there (...); the posterior's
-        precision (..., p, p); and of what runs have of their own the inverse precisions (..., runs, c, c)."""
+        (..., runs, p + c), and ln of the squared volume that the data leave of the priors' there (...)."""
         p, prior = self.space.size, self.space.precision
         normals, gradients, inverse, force = self._eliminated(matrices, slopes, own)
         matrix = normals.sum(axis=-3) + np.diag(prior)
@@ -193,7 +233,7 @@ class Fit(Point):
         volume = (np.sum(np.log(prior)) - np.linalg.slogdet(matrix)[1]
                   + np.sum(np.log(own), axis=(-2, -1)) + np.sum(np.linalg.slogdet(inverse)[1], axis=-1))
         shared = np.broadcast_to(step[..., None, :], (*moved.shape[:-1], p))
-        return np.concatenate([shared, moved], axis=-1), volume, matrix, inverse
+        return np.concatenate([shared, moved], axis=-1), volume
 
     def _strained(self, step: np.ndarray, own: np.ndarray) -> np.ndarray:
         """(...) -2 ln of the priors a step (..., runs, p + c) from the fit."""
@@ -201,15 +241,33 @@ class Fit(Point):
         return ((self.x + step[..., 0, :p] - self.space.mean) ** 2 @ self.space.precision
                 + np.sum(own * (self.away + step[..., p:]) ** 2, axis=(-2, -1)))
 
-    def _integrated(self, matrices: np.ndarray, slopes: np.ndarray, own: np.ndarray, most_gained: float = np.inf,
-                    ) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    def _integrated(self, matrices: np.ndarray, slopes: np.ndarray, own: np.ndarray, most_gained: float,
+                    ) -> tuple[np.ndarray, np.ndarray]:
         """By Laplace's approximation, one step from the fit (``_stepped``): what is added to -2 ln L there, priors
-        included; ln of the squared volume that the data leave of the priors', both (...); and the posterior's precision
-        (..., p, p), of what runs have of their own the step (..., runs, c) and the inverse precisions."""
-        whole, volume, matrix, inverse = self._stepped(matrices, slopes, own)
+        included, and ln of the squared volume that the data leave of the priors', both (...)."""
+        whole, volume = self._stepped(matrices, slopes, own)
         gained = np.sum(whole * (2.0 * slopes - (matrices @ whole[..., None])[..., 0]), axis=(-2, -1))
-        value = self._strained(whole, own) - np.minimum(gained, most_gained)
-        return value, volume, (matrix, whole[..., self.space.size:], inverse)
+        return self._strained(whole, own) - np.minimum(gained, most_gained), volume
+
+    def _differing(self, weighing: Weighing) -> _Differing:
+        """What the runs say of what they differ by, all else integrated out by Laplace's approximation at the fit."""
+        p, (matrices, slopes), (runs, c) = self.space.size, self._by_run(weighing), self.nuisance.shape
+        prior = np.concatenate([self.space.precision, self.nuisance.ravel()])
+        whole, force = np.zeros((len(prior), len(prior))), np.zeros(len(prior))
+        own = p + np.arange(runs * c).reshape(runs, c)
+        for one, matrix, slope in zip(own, matrices, slopes, strict=True):
+            at = np.concatenate([np.arange(p), one])
+            whole[np.ix_(at, at)] += matrix
+            force[at] += slope
+        sought = own[:, -2:].ravel()
+        prior[sought] = 0.0
+        other = np.delete(np.arange(len(prior)), sought)
+        whole += np.diag(prior)
+        force -= prior * np.concatenate([self.x - self.space.mean, self.away.ravel()])
+        across = whole[np.ix_(sought, other)]
+        taken = np.linalg.solve(whole[np.ix_(other, other)], np.column_stack([across.T, force[other]]))
+        return _Differing(self.space.rig, whole[np.ix_(sought, sought)] - across @ taken[:, :-1],
+                          force[sought] - across @ taken[:, -1], self.away[:, -2:].ravel())
 
     def most_likely_differ(self, weighing: Weighing, may: tuple[bool, bool] = (True, True)) -> tuple[float, float]:
         """How much runs differ in what the motor does more than the rig says (``Weighing.differ``); in what they may
@@ -218,32 +276,18 @@ class Fit(Point):
         Empirical Bayes (Gelman et al., section 13.6), about the fit: of highest marginal likelihood, parameters and
         what runs have of their own integrated out.  It has more than one mode: where all runs of a fit have moved the
         same way, a gain that differs stands in for one that is off.  So the best point of a grid is where it begins.
-        Its slope follows from the runs' squares and what these leave uncertain (the identity behind expectation and
-        maximisation: Dempster, Laird and Rubin, J. R. Stat. Soc. B 39, 1977); these rounds themselves take hundreds to
-        arrive where runs are alike.
         """
         if self.alone:
             return 0.0, 0.0
         least = least_differ(self.space.rig)
         if not any(may):
             return float(least[0]), float(least[1])
-        p, (matrices, slopes) = self.space.size, self._by_run(weighing)
+        differing = self._differing(weighing)
         ends = np.log([least, np.where(may, largest_differ(self.space.rig), least)])
-
-        def surprise(logs: np.ndarray) -> tuple[float, np.ndarray]:
-            sizes = np.exp(logs)
-            value, volume, (matrix, moved, inverse) = self._integrated(matrices, slopes, self.own_precision(sizes))
-            coupled = inverse @ matrices[:, p:, :p]
-            variance = np.diagonal(inverse + coupled @ np.linalg.solve(matrix, coupled.transpose(0, 2, 1)),
-                                   axis1=1, axis2=2)
-            found = np.sum(((self.away + moved) ** 2 + variance)[:, -2:], axis=0)
-            return float(value - volume), 2.0 * (len(moved) - found / sizes**2)
-
         steps = [np.unique(np.linspace(low, high, GRID)) for low, high in ends.T]
         grid = np.stack(np.meshgrid(*steps), axis=-1).reshape(-1, 2)
-        value, volume, _ = self._integrated(matrices, slopes, self.own_precision(np.exp(grid)))
-        begun = grid[np.argmin(value - volume)]
-        sizes = np.exp(minimize(surprise, begun, jac=True, method="L-BFGS-B", bounds=ends.T).x)
+        begun = grid[np.argmax(differing.log_likelihoods(np.exp(grid)))]
+        sizes = np.exp(minimize(differing.surprise, begun, jac=True, method="L-BFGS-B", bounds=ends.T).x)
         return float(sizes[0]), float(sizes[1])
 
     def log_narrowing(self, weighing: Weighing) -> np.ndarray:
@@ -259,9 +303,7 @@ class Fit(Point):
         ends = np.log([least_differ(self.space.rig), largest_differ(self.space.rig)])
         for k, logs in enumerate(np.linspace(ends[0], ends[1], SIZES).T):
             sizes[k, :, k] = np.exp(logs)
-        value, volume, _ = self._integrated(*self._by_run(weighing),
-                                            self.own_precision(np.vstack([weighing.differ, *sizes])))
-        log_density = 0.5 * (volume - value)
+        log_density = self._differing(weighing).log_likelihoods(np.vstack([weighing.differ, *sizes]))
         others = np.minimum(log_density[1:] - log_density[0], 0.0).reshape(2, SIZES)
         return np.log(np.trapezoid(np.exp(others), axis=1) / (SIZES - 1))
 
@@ -276,7 +318,7 @@ class Fit(Point):
         own, (normals, slopes) = self.own_precision(weighing.differ), self.by_block
         for _ in range(REWEIGHED):
             w = weighing.independent / np.maximum(left, counts) / weighing.temperature
-            whole, volume, *_ = self._stepped(np.einsum("rb,rbij->rij", w, normals),
+            whole, volume = self._stepped(np.einsum("rb,rbij->rij", w, normals),
                                               np.einsum("rb,rbi->ri", w, slopes), own)
             left = np.maximum(squares - 2.0 * np.einsum("rbi,ri->rb", slopes, whole)
                               + np.einsum("ri,rbij,rj->rb", whole, normals, whole), 0.0)
@@ -299,7 +341,7 @@ class Fit(Point):
         """(...) the same where runs differ by ``sizes`` (..., 2) in place of ``weighing.differ`` and stretches count as
         often as ``drawn`` (..., s) says; the two are broadcast."""
         squares, counts, independent = self.drawn(weighing, drawn)
-        value, volume, _ = self._integrated(*self._by_run(weighing, drawn), self.own_precision(sizes), MOST_GAINED)
+        value, volume = self._integrated(*self._by_run(weighing, drawn), self.own_precision(sizes), MOST_GAINED)
         costs = np.sum(independent * rho(squares / counts), axis=(-2, -1))
         return 0.5 * (volume - value - costs / weighing.temperature)
 

@@ -276,7 +276,7 @@ def _observer(linear: str, variance: float, horizon: float) -> Observer:
 
 def _doublings(horizon: float, period: float) -> int:
     """Of the rows over which the filter's covariance settles."""
-    return math.ceil(math.log2(LASTS * horizon / period))
+    return math.ceil(math.log2(LASTS * horizon / period) - 1e-6)
 
 
 @njit(cache=True, nogil=True, fastmath={"contract"})

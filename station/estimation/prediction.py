@@ -200,7 +200,12 @@ class Predictor:
 
     def scale(self, run: int) -> np.ndarray:
         """(b, n) what makes one run's errors count alike: root of the errors per sample over their sigma, 1/counts."""
-        return (np.sqrt(self.data.records[run].share) / self.data.sigma[:, None])[self.channel]
+        return self._scales[run]
+
+    @cached_property
+    def _scales(self) -> list[np.ndarray]:
+        sigma = self.data.sigma[:, None]
+        return [(np.sqrt(record.share) / sigma)[self.channel] for record in self.data.records]
 
     def independent(self, squares: np.ndarray, residuals: list[np.ndarray]) -> np.ndarray:
         """(runs, b) N of every block, from S (runs, b) and scaled errors (b, n) of every run."""
