@@ -170,9 +170,8 @@ class Parameters:
 
     def rig_at(self, x: np.ndarray) -> Rig:
         """The rig that a parameter vector describes."""
-        nominal = self.rig.constants()
         logs = np.clip(self.logs(x), -FARTHEST, FARTHEST)
-        moved = {p: nominal[p] * math.exp(v) for p, v in zip(self.paths, logs, strict=True)}
+        moved = dict(zip(self.paths, (self._nominal * np.exp(logs)).tolist(), strict=True))
         rig = self.rig.with_constants(moved).remeshed()
         own = list(self.rig.effects)
         for held, value in zip(self.held, x[self.parts["held"]], strict=True):
@@ -181,6 +180,11 @@ class Parameters:
         effects = [cls.model_construct(None, at=at, **cls.ordered(values[cls.name, at]))
                    for cls, at in self.hypothesis.effects]
         return rig.with_effects((*own, *effects)) if effects or self.held else rig
+
+    @cached_property
+    def _nominal(self) -> np.ndarray:
+        nominal = self.rig.constants()
+        return np.array([nominal[path] for path in self.paths])
 
     def zero(self, x: np.ndarray, group: int) -> float:
         """Absolute angle (rad) of encoder count 0 in a group of runs that share it."""

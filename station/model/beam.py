@@ -53,6 +53,8 @@ def element_strain(flexural_rigidity: float, h: float) -> np.ndarray:
 
 def rigidity(elements: int, factors: Sequence[float]) -> np.ndarray:
     """(elements) rigidity in the middle of every element over the mean: product of factors ^ cos(k pi x/L)."""
+    if all(factor == 1.0 for factor in factors):
+        return np.ones(elements)
     x = (np.arange(elements) + 0.5) / elements
     waves = np.array([np.cos(k * np.pi * x) for k in range(1, len(factors) + 1)]).reshape(len(factors), elements)
     return np.exp(np.log(np.asarray(factors, dtype=float)) @ waves)

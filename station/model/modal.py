@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.lapack import dgeev
 
 from station.model.assembly import Assembly, state_matrix
 from station.model.compiled import njit
@@ -51,15 +52,15 @@ class ModalForm:
 
     def rates(self) -> np.ndarray:
         """A itself, (4, b): of each block [[f0, f1], [f2, f3]]."""
-        return _function(self.kind, self.eigenvalues, ITSELF, 1.0)
+        return function(self.kind, self.eigenvalues, ITSELF, 1.0)
 
     def exponential(self, h: float) -> np.ndarray:
         """e^(A h), (4, b)."""
-        return _function(self.kind, self.eigenvalues, EXPONENTIAL, h)
+        return function(self.kind, self.eigenvalues, EXPONENTIAL, h)
 
     def integral(self, h: float) -> np.ndarray:
         """int_0^h e^(A s) ds, (4, b): the effect of an input held over h."""
-        return _function(self.kind, self.eigenvalues, INTEGRAL, h)
+        return function(self.kind, self.eigenvalues, INTEGRAL, h)
 
 
 def apply(blocks: np.ndarray, vector: np.ndarray) -> np.ndarray:
@@ -94,7 +95,7 @@ def _scalar(which, z, h):
 
 
 @njit(cache=True)
-def _function(kind, eigenvalues, which, h):
+def function(kind, eigenvalues, which, h):
     """(4, b) a function f of every block; of a Jordan block at 0 it holds f(0) and f'(0)."""
     out = np.zeros((4, kind.size))
     for i in range(kind.size):
@@ -126,37 +127,36 @@ def modal_form(assembly: Assembly) -> ModalForm:
 
 
 def _decouple(a: np.ndarray, assembly: Assembly) -> ModalForm | None:
-    n = assembly.size
-    values, vectors = np.linalg.eig(a)
-    order = np.argsort(np.abs(values), kind="stable")
-    values, vectors = values[order], vectors[:, order]
-    kinds, eigenvalues, firsts, seconds = [], [], [], []
-    scale = max(abs(values[-1]), 1.0)
+    n, still = assembly.size, np.zeros(assembly.size)
+    real, imaginary, _, vectors, failed = dgeev(a, compute_vl=0)    # of a pair p and q, one column beside the other
+    if failed:
+        return None
+    order = np.argsort(np.hypot(real, imaginary), kind="stable")
+    values, vectors = (real + 1j * imaginary)[order], vectors[:, order]
+    size = np.abs(values)
+    floor = 1e-12 * max(size[-1], 1.0)
+    rigid = np.concatenate([assembly.rigid, still])
     free = not np.any(assembly.damping @ assembly.rigid)
-    rigid = np.concatenate([assembly.rigid, np.zeros(n)])
     if free:
-        kinds.append(JORDAN)
-        eigenvalues.append((0.0, 0.0))
-        firsts.append(rigid[:, None])
-        seconds.append(np.concatenate([np.zeros(n), assembly.rigid])[:, None])
-        values, vectors = values[2:], vectors[:, 2:]
+        values, vectors, size = values[2:], vectors[:, 2:], size[2:]
     else:
         values[0], vectors[:, 0] = 0.0, rigid
-    real = np.abs(values.imag) <= 1e-12 * np.maximum(np.abs(values), 1e-12 * scale)
-    pairs, reals = np.flatnonzero(~real & (values.imag > 0.0)), np.flatnonzero(real)
-    if reals.size % 2 or 2 * (len(kinds) + pairs.size) + reals.size != 2 * n:
+    alone = np.abs(values.imag) <= 1e-12 * np.maximum(size, floor)
+    pairs, reals = np.flatnonzero(~alone & (values.imag > 0.0)), np.flatnonzero(alone)
+    if reals.size % 2 or 2 * (free + pairs.size) + reals.size != 2 * n:
         return None
-    one, other = reals.reshape(-1, 2).T
-    kind = np.array(kinds + [PAIR] * pairs.size + [REAL] * one.size)
-    all_values = np.concatenate([
-        np.array(eigenvalues, dtype=complex).reshape(-1, 2), np.stack([values[pairs], values[pairs].conj()], axis=1),
-        np.stack([values[one].real, values[other].real], axis=1)])
-    basis = np.concatenate([*firsts, vectors[:, pairs].real, vectors[:, one].real,
-                            *seconds, vectors[:, pairs].imag, vectors[:, other].real], axis=1)
+    one, other = np.concatenate([pairs, reals[::2]]), np.concatenate([pairs + 1, reals[1::2]])
+    kind = np.repeat([PAIR, REAL], [pairs.size, reals.size // 2])
+    eigenvalues, firsts, seconds = np.stack([values[one], values[other]], axis=1), vectors[:, one], vectors[:, other]
+    if free:
+        kind, eigenvalues = np.append(JORDAN, kind), np.concatenate([np.zeros((1, 2)), eigenvalues])
+        firsts = np.column_stack([rigid, firsts])
+        seconds = np.column_stack([np.concatenate([still, assembly.rigid]), seconds])
+    basis = np.concatenate([firsts, seconds], axis=1)
     try:
         inverse = np.linalg.inv(basis)
     except np.linalg.LinAlgError:
         return None
-    form = ModalForm(kind, all_values, basis, inverse)
+    form = ModalForm(kind, eigenvalues, basis, inverse)
     error = np.linalg.norm(basis @ apply(form.rates(), inverse) - a) / np.linalg.norm(a)
     return form if error < 1e-7 else None

@@ -14,9 +14,9 @@ from station.control.compensators import Compensator, commanded
 from station.errors import UsageError, WorkError
 from station.model import stepper
 from station.model.assembly import Assembly, assemble, axis_moment
-from station.model.compiled import address
+from station.model.compiled import address, njit
 from station.model.effects import Effect, Stage
-from station.model.modal import ModalForm, apply, modal_form
+from station.model.modal import INTEGRAL, ModalForm, apply, function, modal_form
 from station.rig import Rig
 from station.runs.run import Run, RunMetadata
 
@@ -188,11 +188,6 @@ def _row(output: np.ndarray, blocks: np.ndarray) -> np.ndarray:
     return np.concatenate([one * blocks[0] + two * blocks[2], one * blocks[1] + two * blocks[3]])
 
 
-def _norms(vectors: np.ndarray) -> np.ndarray:
-    """Size of each block's part (b, ...) of vectors (2b, ...)."""
-    return np.hypot(*vectors.reshape(2, -1, *vectors.shape[1:]))
-
-
 def _ports(rig: Rig, laws: list[Effect]) -> tuple[str, ...]:
     """Ports at which the rig's effects put torques, in fixed order."""
     wanted = set()
@@ -219,33 +214,45 @@ def _truncate(rig: Rig, parts: Assembly, form: ModalForm, forces: np.ndarray, ra
               fed_back: list[np.ndarray], period: float, allowed: float) -> tuple[np.ndarray, float]:
     """Which blocks to keep, for the others cannot matter, and what these could add to an output, counts.
 
-    A block with outputs c and sampled response g to one count adds at most limit sum_k |c e^(A k T) g| to an output,
-    which |c| |g| / (1 - |e^(lambda T)|) bounds; a port's torque counts as PORT_SHARE of the motor's largest.
-    ``forces`` (2b, 1 + ports): of one count, and of one N m at each port; ``rate`` (4, b): the blocks themselves.
-    ``fed_back``: rotations of a stiff joint at the beam's root; an effect acts on them and every mode of the beam
-    yields there, so they count as outputs, in encoder counts.
+    A port's torque counts as PORT_SHARE of the motor's largest.  ``forces`` (2b, 1 + ports): of one count, and of one
+    N m at each port; ``rate`` (4, b): the blocks themselves.  ``fed_back``: rotations of a stiff joint at the beam's
+    root; an effect acts on them and every mode of the beam yields there, so they count as outputs, in encoder counts.
     """
-    n = parts.size
-    largest = forces.copy()
+    n, largest = parts.size, rig.amplifier.limit * forces
     largest[:, 1:] *= PORT_SHARE * rig.motor.gain
-    size = np.zeros((form.blocks, largest.shape[1]))
-    outputs = [(row @ form.basis[:n] / rig.angle_per_count, None) for row in (parts.unit(parts.base), *fed_back)]
+    outputs = np.array([parts.unit(parts.base), *fed_back]) @ form.basis[:n] / rig.angle_per_count
+    through = np.zeros_like(outputs)
     if parts.tip is not None and rig.accelerometer is not None:
         tip = form.basis[n + parts.tip] * rig.accelerometer.gain
-        outputs.append((_row(tip, rate), tip))
-    decay = 1.0 - np.exp(form.eigenvalues.real.max(axis=1) * period)
-    response = _norms(apply(form.integral(period), largest)) / np.maximum(decay, 1e-12)[:, None]
-    for output, through in outputs:
-        bound = _norms(output)[:, None] * response
-        if through is not None:
-            bound += np.abs((through[:, None] * largest).reshape(2, form.blocks, -1).sum(axis=0))
-        size = np.maximum(size, rig.amplifier.limit * bound)
-    most = size.max(axis=1)
-    most[np.abs(form.eigenvalues).min(axis=1) == 0.0] = np.inf
+        outputs, through = np.vstack([outputs, _row(tip, rate)]), np.vstack([through, tip])
+    most = _bounds(form.kind, form.eigenvalues, outputs, through, largest, period)
     order = np.argsort(most)
     total = np.cumsum(most[order])
     count = int(np.searchsorted(total, allowed))
     return np.sort(order[count:]), float(total[count - 1]) if count else 0.0
+
+
+@njit(cache=True)
+def _bounds(kind, eigenvalues, outputs, through, largest, period):
+    """(b) the most that every block could add to any output (o, 2b) by any input (2b, m), some of which it passes
+    ``through`` (o, 2b) at once; infinite of a mode that nothing brings back.
+
+    A block with the output c and the sampled response g adds at most sum_k |c e^(A k T) g|, which
+    |c| |g| / (1 - |e^(lambda T)|) bounds.
+    """
+    most, held, b = np.zeros(kind.size), function(kind, eigenvalues, INTEGRAL, period), kind.size
+    for i in range(b):
+        one, other = eigenvalues[i]
+        decay = max(1.0 - math.exp(max(one.real, other.real) * period), 1e-12)
+        for k in range(largest.shape[1]):
+            first, second = largest[i, k], largest[b + i, k]
+            response = math.hypot(held[0, i] * first + held[1, i] * second, held[2, i] * first + held[3, i] * second)
+            for c in range(len(outputs)):
+                bound = math.hypot(outputs[c, i], outputs[c, b + i]) * response / decay
+                most[i] = max(most[i], bound + abs(through[c, i] * first + through[c, b + i] * second))
+        if min(abs(one), abs(other)) == 0.0:
+            most[i] = np.inf
+    return most
 
 
 def slots(rig: Rig, laws: list[Effect], ports: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
