@@ -19,6 +19,7 @@ from station.estimation.likelihood import (
 )
 from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor
+from station.rig import Rig
 
 GRID = 7
 """Sizes of either kind, two units of the logarithm apart: the search for the most likely begins at their best pair."""
