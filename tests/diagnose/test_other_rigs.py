@@ -27,7 +27,8 @@ from tests.truth.cases import multisine_test, step_test, sweep_test
 SEVERITY = (400.0, 1e5)
 TABLES = {"axis": RIGID_AXIS, "two-mass": TWO_MASS,
           "no-accelerometer": {key: value for key, value in SFLR.items() if key != "accelerometer"}}
-HIDDEN = [("axis", 8001, "coulomb_friction", "motor"), ("axis", 8002, "dead_zone", "amplifier"),
+HIDDEN = [("axis", 8001, "coulomb_friction", "motor"),
+          pytest.param("axis", 8002, "dead_zone", "amplifier", marks=pytest.mark.long),
           ("two-mass", 8012, "gain_asymmetry", "amplifier"),
           pytest.param("no-accelerometer", 8000, "coulomb_friction", "motor", marks=pytest.mark.long)]
 

@@ -35,8 +35,9 @@ def starting(predictor: Predictor, most: int) -> list[Start]:
     return far_starts(predictor, candidates(predictor.data.rig), most, in_step(predictor, space, space.mean))
 
 
-@pytest.mark.parametrize(("table", "key", "factor"), [("beam", "length", 0.2), ("beam", "flexural_rigidity", 0.04),
-                                                      ("base", "inertia", 8.0)])
+@pytest.mark.parametrize(("table", "key", "factor"), [
+    pytest.param("beam", "length", 0.2, marks=pytest.mark.long), ("beam", "flexural_rigidity", 0.04),
+    ("base", "inertia", 8.0)])
 def test_the_constant_that_is_far_off_is_begun_where_it_is(table: str, key: str, factor: float) -> None:
     predictor = predictions(ARM, runs_of(8300, table, key, factor))
     starts = starting(predictor, 4)

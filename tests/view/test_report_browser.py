@@ -50,8 +50,10 @@ def ink(page: Any, selector: str) -> str:
     return page.eval_on_selector(selector, "e => getComputedStyle(e).color")
 
 
-@pytest.mark.parametrize("verdict", ["ambiguous", "partly_explained"])
-@pytest.mark.parametrize("size", [PHONE, DESK], ids=["phone", "desk"])
+@pytest.mark.parametrize(("size", "verdict"), [
+    pytest.param(PHONE, "ambiguous", id="phone"), pytest.param(DESK, "partly_explained", id="desk"),
+    pytest.param(PHONE, "partly_explained", id="phone, the other", marks=pytest.mark.long),
+    pytest.param(DESK, "ambiguous", id="desk, the other", marks=pytest.mark.long)])
 def test_verdict_picture_and_gain_stand_above_the_fold(browser: Any, tmp_path: Path, size: dict[str, int],
                                                        verdict: str) -> None:
     """With the verdicts whose sentences are the longest."""
