@@ -70,7 +70,7 @@ WANTED: dict[str, dict[bool, tuple[float, float]]] = {
     "truth inside the stated 95 % interval": {True: (0.88, 0.99), False: (0.85, 1.0)},
 }
 """Shares wanted (lowest, highest) in a perfect world and in an imperfect one.  Those of perfect worlds that must be
-high are what a former campaign reached: no share may lie below it by more than its interval."""
+high are what a former campaign reached: no share may lie below it, or above a range, by more than its interval."""
 LEAST = {"clear": 200.0, "subtle": 25.0}
 """Least severity of each class."""
 PLAIN = {f"parameter:{key}" for key in ("drive.stiffness", "base.inertia", "clamp.stiffness", "beam.length",
@@ -187,8 +187,8 @@ def _against(wanted: tuple[float, float] | None, found: dict[str, Any], perfect:
     words = f"{100 * low:g} %" if high == 1.0 else words
     if found["share"] is None:
         return {"wanted": words, "met": None}
-    reached = found["high"] if perfect and high == 1.0 else found["share"]
-    return {"wanted": words, "met": bool(reached >= low and found["share"] <= high)}
+    least, most = (found["low"], found["high"]) if perfect and low > 0.0 else (found["share"],) * 2
+    return {"wanted": words, "met": bool(most >= low and least <= high)}
 
 
 def numbers(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:

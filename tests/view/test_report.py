@@ -84,6 +84,14 @@ def test_the_numbers_of_the_diagnosis_stand_in_it() -> None:
         assert words in text, words
 
 
+def test_a_narrow_interval_keeps_its_ends_apart_in_the_table() -> None:
+    full = made.result()
+    cause = full.diagnosis.causes[0]
+    sure = Estimate(value=17.8123, low=17.8012, high=17.8234, unit="N m")
+    told = full.diagnosis.model_copy(update={"causes": [cause.model_copy(update={"parameters": {"torque": sure}})]})
+    assert "17.812 N m 17.801 to 17.823" in Page(report_html(replace(full, diagnosis=told))).text
+
+
 def test_every_section_stands_in_the_list_of_contents_and_every_link_leads_somewhere() -> None:
     page = Page(report_html(made.result("partly_explained")))
     links = [a[1:] for a in page.addresses if a.startswith("#")]

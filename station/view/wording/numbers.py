@@ -59,12 +59,17 @@ def unit_of(estimate: Estimate) -> str:
     return "" if estimate.unit == "1" else estimate.unit
 
 
+def digits_of(estimate: Estimate) -> int:
+    """Significant digits that an estimate's interval deserves, three where it has none."""
+    low, high, value = estimate.low, estimate.high, estimate.value
+    if not (math.isfinite(high - low) and high > low and value):
+        return 3
+    return min(6, max(2, 2 + math.floor(math.log10(abs(value)) - math.log10((high - low) / 2.0))))
+
+
 def interval(estimate: Estimate) -> str:
     """``0.0210 N m (0.0191 to 0.0229)``, as many digits as the interval deserves."""
-    low, high, value = estimate.low, estimate.high, estimate.value
-    digits = 3
-    if math.isfinite(high - low) and high > low and value:
-        digits = min(6, max(2, 2 + math.floor(math.log10(abs(value)) - math.log10((high - low) / 2.0))))
+    low, high, value, digits = estimate.low, estimate.high, estimate.value, digits_of(estimate)
     unit = f" {unit_of(estimate)}" if unit_of(estimate) else ""
     differs = "" if estimate.spread is None else f", from run to run ± {number(estimate.spread, 2)}"
     return f"{number(value, digits)}{unit} ({number(low, digits)} to {number(high, digits)}{differs})"
