@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import minimize
 
+from station.estimation.differing import Differing
 from station.estimation.likelihood import (
     Weighing,
     cost,
@@ -19,7 +20,6 @@ from station.estimation.likelihood import (
 )
 from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor
-from station.rig import Rig
 
 GRID = 7
 """Sizes of either kind, two units of the logarithm apart: the search for the most likely begins at their best pair."""
@@ -63,45 +63,6 @@ class Point:
     """(runs, b) sums of squared scaled errors."""
     objective: float
     """-2 ln of likelihood (tempered) times priors."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Differing:
-    """What runs say of what each does more than the rig, a share of the command and a constant, run by run (2 runs)."""
-
-    rig: Rig
-    precision: np.ndarray
-    """(2 runs, 2 runs) of the data."""
-    force: np.ndarray
-    """(2 runs) the data's slope where the fit has them."""
-    away: np.ndarray
-    """(2 runs) how far from their priors' means that is."""
-
-    def _at(self, sizes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(...) marginal log likelihood, up to a constant, of ``sizes`` (..., 2), and there the posterior's covariance
-        (..., 2 runs, 2 runs) and how far it moves them from the fit (..., 2 runs)."""
-        own = np.tile(differ_precision(self.rig, sizes), len(self.away) // 2)
-        covariance = np.linalg.inv(self.precision + own[..., None] * np.eye(len(self.away)))
-        force = self.force - own * self.away
-        moved = (covariance @ force[..., None])[..., 0]
-        volume = np.log(own).sum(axis=-1) + np.linalg.slogdet(covariance)[1]
-        return 0.5 * (volume + (force * moved).sum(axis=-1) - own @ self.away**2), covariance, moved
-
-    def log_likelihoods(self, sizes: np.ndarray) -> np.ndarray:
-        """(...) marginal, up to a constant, of ``sizes`` (..., 2)."""
-        return self._at(sizes)[0]
-
-    def surprise(self, logs: np.ndarray) -> tuple[float, np.ndarray]:
-        """Minus twice that, and its slope (2), at the logarithms of sizes (2).
-
-        The slope follows from the runs' squares and what these leave uncertain (the identity behind expectation and
-        maximisation: Dempster, Laird and Rubin, J. R. Stat. Soc. B 39, 1977); these rounds themselves take hundreds to
-        arrive where runs are alike.
-        """
-        sizes = np.exp(logs)
-        value, covariance, moved = self._at(sizes)
-        squares = ((self.away + moved) ** 2 + covariance.diagonal()).reshape(-1, 2)
-        return float(-2.0 * value), 2.0 * (len(squares) - squares.sum(axis=0) / sizes**2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +211,7 @@ class Fit(Point):
         gained = np.sum(whole * (2.0 * slopes - (matrices @ whole[..., None])[..., 0]), axis=(-2, -1))
         return self._strained(whole, own) - np.minimum(gained, most_gained), volume
 
-    def _differing(self, weighing: Weighing) -> _Differing:
+    def _differing(self, weighing: Weighing) -> Differing:
         """What the runs say of what they differ by, all else integrated out by Laplace's approximation at the fit."""
         p, (matrices, slopes), (runs, c) = self.space.size, self._by_run(weighing), self.nuisance.shape
         prior = np.concatenate([self.space.precision, self.nuisance.ravel()])
@@ -267,7 +228,7 @@ class Fit(Point):
         force -= prior * np.concatenate([self.x - self.space.mean, self.away.ravel()])
         across = whole[np.ix_(sought, other)]
         taken = np.linalg.solve(whole[np.ix_(other, other)], np.column_stack([across.T, force[other]]))
-        return _Differing(self.space.rig, whole[np.ix_(sought, sought)] - across @ taken[:, :-1],
+        return Differing(self.space.rig, whole[np.ix_(sought, sought)] - across @ taken[:, :-1],
                           force[sought] - across @ taken[:, -1], self.away[:, -2:].ravel())
 
     def most_likely_differ(self, weighing: Weighing, may: tuple[bool, bool] = (True, True)) -> tuple[float, float]:
