@@ -148,7 +148,7 @@ def _gain(result: DiagnosisResult, apart: Run) -> RunComparison:
 
 def told(effect: Effect, diagnosis: Diagnosis | None) -> list[str]:
     """What was hidden, and whether the diagnosis, if there is one, was right: wrong as plainly as right."""
-    from station.view.wording import cause_title
+    from station.view.wording import cause_title, digits_of
 
     hidden, truth = cause_title(effect.name, effect.at), effect.values()
     units = {name: info.unit for name, info in effect.parameters().items()}
@@ -175,7 +175,8 @@ def told(effect: Effect, diagnosis: Diagnosis | None) -> list[str]:
             for name, found in cause.parameters.items():
                 above, below = truth[name] >= found.low, truth[name] <= found.high
                 inside = (above and below) if found.low <= found.high else (above or below)     # an angle may wrap
-                lines.append(f"   {name.replace('_', ' ')}: {quantity(truth[name], found.unit)} is "
-                             f"{'inside' if inside else 'OUTSIDE'} the 95 % interval {number(found.low, 4)} to "
-                             f"{number(found.high, 4)}.")
+                digits = max(digits_of(found), 4)
+                lines.append(f"   {name.replace('_', ' ')}: {quantity(truth[name], found.unit, digits)} is "
+                             f"{'inside' if inside else 'OUTSIDE'} the 95 % interval {number(found.low, digits)} to "
+                             f"{number(found.high, digits)}.")
     return lines

@@ -14,6 +14,9 @@ from station.estimation.parameters import Hypothesis, Parameters, parameters
 from station.model.effects import USUAL_SPEED, Effect, Stage, catalogue
 from station.rig import PROFILE, Rig
 
+OF_A_GAP, PER_START, MOST_STARTS = 3, 5, 4
+"""Guesses from which fits of a gap begin; of other effects one more for so many guesses, up to so many."""
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -34,7 +37,7 @@ class Candidate:
         """Guesses from which fits begin: more where the objective has many valleys (angles, gaps)."""
         if self.effect is None:
             return 1
-        return 3 if self.effect.stage is Stage.GAP else min(1 + len(self.components) // 5, 4)
+        return OF_A_GAP if self.effect.stage is Stage.GAP else min(1 + len(self.components) // PER_START, MOST_STARTS)
 
     @property
     def components(self) -> list[tuple[dict[str, float], ...]]:

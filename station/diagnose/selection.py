@@ -32,6 +32,7 @@ from station.estimation.prediction import COARSE, FINE, SEARCH, Accuracy, Predic
 from station.model.effects import Stage, effect_class
 
 QUICK_STEPS = 8
+"""Steps of the fits by which further causes are tried, with derivatives of the parent."""
 RUNGS = 3
 """Causes in a set from which on nothing is added to it; a pair on top of the set before may hold one more."""
 THOROUGH: dict[str, Any] = {"iterations": 25, "renewals": 4, "tolerance": 0.2}

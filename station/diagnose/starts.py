@@ -100,8 +100,7 @@ def rigid_starts(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
         space = parameters(stiff.data, parent.space.hypothesis, sizes, fixed=(path,))
         x = space.carried(parent.space, parent.x)
         logs = np.where(np.isin(space.paths, space.hypothesis.constants), space.logs(x), 0.0)
-        x[space.parts["constants"]] = np.linalg.solve(space.root, logs)
-        return _Held(candidate, sigmas, stiff, space, x, slow.data.own)
+        return _Held(candidate, sigmas, stiff, space, space.placed(x, logs), slow.data.own)
 
     tried = [held(c, sigmas) for c in pool if c.constant in JOINTS
              for sigmas in ((before[c.constant],) if c.constant in before else RIGID)]
@@ -176,7 +175,6 @@ def _cost(part: Predictor, space: Parameters, x: np.ndarray, weighing: Weighing)
 
 def _placed(space: Parameters, candidate: Candidate, sigmas: float, x: np.ndarray) -> np.ndarray:
     """``x`` (p) with the candidate's constant so far from nominal."""
-    x, logs = x.copy(), space.logs(x)
+    logs = space.logs(x)
     logs[space.paths.index(candidate.constant)] = sigmas * WIDE
-    x[space.parts["constants"]] = np.linalg.solve(space.root, logs)
-    return x
+    return space.placed(x, logs)

@@ -33,6 +33,9 @@ WARM = 1.0
 """Seconds for that: what is wrong of a flexible arm's base and first mode is then below a hundredth."""
 FIRST = 0.02
 """Seconds that tell whether a run begins in motion: too few for a command to move much."""
+FIRST_COUNTS, FIRST_SIGMAS, FIRST_SHARE = 2.0, 6.0, 0.05
+"""By how much these may differ from a rig at rest: counts (two readings, each rounded either way), sigmas of the noise,
+and, of the accelerometer, a share of what it reads in the whole run."""
 RIGIDITY = 0.03
 """Sigma of each harmonic of a beam's rigidity along its length, where the rig file says nothing: the cube of a
 thickness that varies by a percent (of cold rolled strip several are allowed: EN 10140), or a sensor's cable along it.
@@ -295,8 +298,7 @@ def first_seconds(data: Dataset, seconds: float) -> Dataset:
 def _warm_rows(rig: Rig, run: Run, noise: Sequence[float]) -> int:
     """WARM in rows where a run begins in motion, else 0.
 
-    It does where its first rows are not those of the nominal rig at rest, times a factor of 0 to 2 that fits them best,
-    but for two counts, six sigma of noise and, of the accelerometer, a twentieth of what it reads in the whole run.
+    It does where its first rows are not those of the nominal rig at rest, times a factor of 0 to 2 that fits them best.
     """
     rows = max(math.ceil(FIRST * rig.sample_rate), 3)
     first = replace(run.slice(0, rows), metadata=RunMetadata(start="equilibrium"))
@@ -305,8 +307,8 @@ def _warm_rows(rig: Rig, run: Run, noise: Sequence[float]) -> int:
     for channel, sigma in zip(("encoder", "accel"), noise, strict=False):
         measured, could = getattr(run, channel), getattr(made, channel) - np.mean(getattr(made, channel))
         factor = min(max(float(could @ measured[:rows]) / max(float(could @ could), 1e-12), 0.0), 2.0)
-        small = 0.05 * float(np.ptp(measured)) if channel == "accel" else 0.0
-        moving |= float(np.ptp(measured[:rows] - factor * could)) > 2.0 + 6.0 * sigma + small
+        small = FIRST_COUNTS + FIRST_SIGMAS * sigma + FIRST_SHARE * float(np.ptp(measured)) * (channel == "accel")
+        moving |= float(np.ptp(measured[:rows] - factor * could)) > small
     return math.ceil(WARM * rig.sample_rate) if moving and len(run) > 2 * WARM * rig.sample_rate else 0
 
 

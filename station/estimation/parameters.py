@@ -149,6 +149,12 @@ class Parameters:
         """Logarithms of the constants over nominal."""
         return self.root @ x[self.parts["constants"]]
 
+    def placed(self, x: np.ndarray, logs: np.ndarray) -> np.ndarray:
+        """``x`` (p) with the constants where their logarithms over nominal are ``logs`` (n)."""
+        x = x.copy()
+        x[self.parts["constants"]] = np.linalg.solve(self.root, logs)
+        return x
+
     def along_log(self, path: str) -> np.ndarray:
         """(p) the direction of x along which the logarithm of one constant moves and the others' do not."""
         moved = np.array([one == path for one in self.paths], dtype=float)
@@ -216,9 +222,8 @@ class Parameters:
 
     def carried(self, other: Parameters, x: np.ndarray, start: Sizes | None = None) -> np.ndarray:
         """Another hypothesis' values in these parameters; what is new begins at ``start``, else at its prior mean."""
-        out = self.mean.copy()
         logs = dict(zip(other.paths, other.logs(x), strict=True))
-        out[self.parts["constants"]] = np.linalg.solve(self.root, [logs.get(path, 0.0) for path in self.paths])
+        out = self.placed(self.mean, np.array([logs.get(path, 0.0) for path in self.paths]))
         sizes = {**other.values(x), **(start or {})}
         for i, coordinate in enumerate(self.coordinates, self.parts["effects"].start):
             if coordinate.name in sizes.get(coordinate.cause, {}):

@@ -15,6 +15,10 @@ from station.model.units import powers
 
 FAR = 4.0
 """Stated standard deviations beyond which a constant is warned about."""
+UNEXPLAINED = 2.0
+"""Mean squared error, times the noise's, from which on the constants alone are said not to explain the runs."""
+SHOWN = 0.1
+"""Share of a flat direction's largest part from which on a constant is listed in it."""
 
 
 def judge(space: Parameters, unseen: np.ndarray, seen: np.ndarray, found: Fit, held: tuple[str, ...], nominal: float,
@@ -53,7 +57,7 @@ def judge(space: Parameters, unseen: np.ndarray, seen: np.ndarray, found: Fit, h
          loose),
         (f"beyond {FAR:g} stated deviations: {', '.join(far)}", far),
         (f"what is left is {np.sqrt(found.misfit):.3g} times the noise: these constants alone do not explain the runs",
-         found.misfit > 2.0),
+         found.misfit > UNEXPLAINED),
         (f"{starts - agreeing} of {starts} starts ended in another minimum", agreeing < starts)) if applies]
     flat = [_direction(space, unit, 1.0, always=True) for unit in unseen.T]
     values, vectors = np.linalg.eigh(seen.T @ posterior[:n, :n] @ seen)
@@ -68,5 +72,5 @@ def _direction(space: Parameters, unit: np.ndarray, variance: float, always: boo
     logs = space.root @ unit
     top = int(np.argmax(np.abs(logs)))
     terms = {space.paths[k]: float(logs[k] / logs[top]) for k in np.argsort(-np.abs(logs), kind="stable")
-             if abs(logs[k]) > 0.1 * abs(logs[top])}
+             if abs(logs[k]) > SHOWN * abs(logs[top])}
     return FlatDirection(terms, always, float(np.clip(1.0 - variance, 0.0, 1.0)))

@@ -151,6 +151,8 @@ def test_an_interval_that_misses_the_truth_is_shown():
     missed = _cause("backlash", "drive", gap=(0.08, 0.07, 0.09))
     assert "OUTSIDE" in told(BACKLASH, _result([missed]).diagnosis)[2]
     assert "is inside" in told(BACKLASH, _result([FOUND]).diagnosis)[2]
+    narrow = _cause("backlash", "drive", gap=(0.0500021, 0.0500011, 0.0500031))
+    assert "0.0500011 to 0.0500031" in told(BACKLASH, _result([narrow]).diagnosis)[2]     # its ends stay apart
     tilt = effect_class("gravity_tilt")(at="base", torque=0.1, angle=-3.1)
     wrapped = _cause("gravity_tilt", "base", torque=(0.1, 0.05, 0.2), angle=(3.14, 3.0, -3.0))
     assert all("is inside" in line for line in told(tilt, _result([wrapped]).diagnosis)[2:])

@@ -105,6 +105,17 @@ def test_sizes_are_the_most_likely_ones(offsets: np.ndarray) -> None:
             assert found.log_evidence(replace(found.weighing, differ=(share, constant))) < best + 0.05
 
 
+def test_what_runs_say_of_sizes_is_what_the_evidence_says(varied: Fit) -> None:
+    """All else integrated out beforehand, or anew for every pair of sizes; and its slope is the slope."""
+    sizes = np.array([(share, constant) for share in (1e-4, 1e-3, 0.02, 0.3) for constant in (0.01, 0.1, 1.5, 4.0)])
+    seen = varied._differing(varied.weighing)
+    more = seen.log_likelihoods(sizes) - varied.log_evidences(varied.weighing, sizes)
+    np.testing.assert_allclose(more, more[0], atol=1e-6)
+    at, h = np.log([0.015, 1.1]), 1e-4
+    slope = [(seen.surprise(at + h * way)[0] - seen.surprise(at - h * way)[0]) / (2.0 * h) for way in np.eye(2)]
+    np.testing.assert_allclose(seen.surprise(at)[1], slope, rtol=1e-4)
+
+
 @pytest.mark.parametrize(("share", "sigma"), [(0.25, 0.02), (0.2, 0.02), (0.25, 0.03)])
 def test_sizes_are_those_of_the_highest_of_two_modes(share: float, sigma: float) -> None:
     """A gain that is off in all runs alike, begun from runs that differ: they are alike and the gain is off, or they
