@@ -35,6 +35,8 @@ QUICK_STEPS = 8
 """Steps of the fits by which further causes are tried, with derivatives of the parent."""
 RUNGS = 3
 """Causes in a set from which on nothing is added to it; a pair on top of the set before may hold one more."""
+SETTLING = 4
+"""Rounds in which the best set and the weighing that it gives settle, at most."""
 THOROUGH: dict[str, Any] = {"iterations": 25, "renewals": 4, "tolerance": 0.2}
 
 
@@ -471,7 +473,7 @@ def _finish(search: Selection) -> None:
 
     A best that ended in another valley is looked back upon once more: no set with less was begun there.
     """
-    for last in (False, True):
+    for left in reversed(range(SETTLING)):
         best = search.best()
         close = search.close(2 * search.effort.finished)
         subsets = [f for f in search.fits.values() if f.key < best.key and f not in close]
@@ -479,6 +481,6 @@ def _finish(search: Selection) -> None:
         best = search.best()
         if search.looked_back is None or search.is_news(best, search.looked_back):
             _look_back(search, best)
-        if last or not search.outdated:
+        if not left or not search.outdated:
             break
         search.weigh(search.best())

@@ -66,13 +66,11 @@ def test_the_arm_has_dry_friction() -> None:
 
 @pytest.mark.long
 def test_of_two_logs_alone_it_is_said_that_the_motor_does_more_in_one() -> None:
-    """By 28 %, between the arm's two groups of logs; no encoder's disc is so eccentric.
-
-    What else is named, dry friction, a gain curve or nothing, two logs alone leave to rounding (docs/campaign.md).
-    """
+    """By 28 %, between the arm's two groups of logs; no encoder's disc is so eccentric."""
     runs = [load_run(measured_log(name)) for name in ("lead_accel", "pulse")]
     said = diagnose(load_rig("sflr"), runs, effort="quick").diagnosis
-    assert "encoder_eccentricity" not in {cause.effect for cause in said.causes}
+    named = {cause.effect for cause in said.causes}
+    assert "coulomb_friction" in named and "encoder_eccentricity" not in named
     assert said.between_runs is not None and said.between_runs.probability["share"] > SURE
 
 
