@@ -35,8 +35,6 @@ QUICK_STEPS = 8
 """Steps of the fits by which further causes are tried, with derivatives of the parent."""
 RUNGS = 3
 """Causes in a set from which on nothing is added to it; a pair on top of the set before may hold one more."""
-SETTLING = 4
-"""Rounds in which the best set and the weighing that it gives settle, at most."""
 THOROUGH: dict[str, Any] = {"iterations": 25, "renewals": 4, "tolerance": 0.2}
 
 
@@ -204,10 +202,15 @@ class Selection:
             self._weighed.clear()
 
     @property
-    def outdated(self) -> bool:
-        """Whether the weighing was read off another set than the best, or before that one had arrived."""
+    def reading(self) -> tuple[Causes, bool]:
+        """The set that the weighing was read off, and whether that left nothing but noise."""
+        return self.weighed_by, self.complete
+
+    @property
+    def wanted(self) -> tuple[Causes, bool]:
+        """What it would be read off now: the best set."""
         best = self.best()
-        return best.key != self.weighed_by or remainder(self.predictor, best).is_noise != self.complete
+        return best.key, remainder(self.predictor, best).is_noise
 
 
 def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float], None]) -> Selection:
@@ -235,7 +238,7 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
         if not search.is_news(best, search.fits[parent.key]):
             break
         _look_back(search, _settle(search, best))
-        if search.outdated:
+        if search.wanted != search.reading:
             _settle(search, search.best())
         parent = _with_derivatives(search, search.best())
     progress("fitting rivals as far as the best", 0.82)
@@ -471,9 +474,14 @@ def fitted(search: Selection, causes: Causes, whole: Causes) -> Fit:
 def _finish(search: Selection) -> None:
     """Fit the best set and its close rivals to the end under the best's weighing: none loses by where it ended.
 
-    A best that ended in another valley is looked back upon once more: no set with less was begun there.
+    A best that ended in another valley is looked back upon once more: no set with less was begun there.  It ends where
+    the best is best by its own weighing, or where one comes back by whose weighing another was: that would never end.
     """
-    for left in reversed(range(SETTLING)):
+    read: list[tuple[Causes, bool]] = []
+    while not read or search.wanted not in read:
+        if read:
+            search.weigh(search.best())
+        read.append(search.reading)
         best = search.best()
         close = search.close(2 * search.effort.finished)
         subsets = [f for f in search.fits.values() if f.key < best.key and f not in close]
@@ -481,6 +489,3 @@ def _finish(search: Selection) -> None:
         best = search.best()
         if search.looked_back is None or search.is_news(best, search.looked_back):
             _look_back(search, best)
-        if not left or not search.outdated:
-            break
-        search.weigh(search.best())

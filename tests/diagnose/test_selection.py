@@ -12,7 +12,7 @@ from scipy.stats import norm
 from station.diagnose import selection
 from station.diagnose.candidates import candidates
 from station.diagnose.screening import Screened
-from station.diagnose.selection import EFFORTS, SETTLING, Selection, _finish, _look_back, leading, taking_in
+from station.diagnose.selection import EFFORTS, Selection, _finish, _look_back, leading, taking_in
 from station.diagnose.thresholds import LOG_PRIOR, LOG_PRIOR_PARAMETER
 from station.estimation.least_squares import fit
 from station.estimation.likelihood import Weighing
@@ -190,19 +190,20 @@ def test_a_best_set_that_ended_elsewhere_is_looked_back_upon_before_it_is_told()
             assert search.best().key == {coulomb}
 
 
-@pytest.mark.parametrize(("turns", "settles"), [(0, True), (1, True), (SETTLING - 2, True), (1000, False)])
+@pytest.mark.parametrize(("turns", "rounds"), [(0, 2), (1, 3), (3, 5), (1000, 5)])
 def test_what_errors_count_for_is_read_off_the_best_set_however_often_that_changes(
-        monkeypatch: pytest.MonkeyPatch, turns: int, settles: bool) -> None:
-    """One set after another is the best by what the one before says; where that never ends, the search does."""
+        monkeypatch: pytest.MonkeyPatch, turns: int, rounds: int) -> None:
+    """One of four sets after another is the best by what the one before says; where that never ends, the search does.
+    """
     class Turning(Selection):
         read = 0
 
         @property
-        def outdated(self) -> bool:
-            return self.best().key != self.weighed_by
+        def wanted(self) -> tuple:
+            return self.best().key, False
 
         def best(self):
-            return list(self.fits.values())[min(self.read, turns) % 2]
+            return list(self.fits.values())[min(self.read, turns) % 4]
 
         def weigh(self, found) -> None:
             self.read, self.weighed_by = self.read + 1, found.key
@@ -211,11 +212,11 @@ def test_what_errors_count_for_is_read_off_the_best_set_however_often_that_chang
     monkeypatch.setattr(selection, "_refit", lambda search, fits, to_the_end: refitted.append(search.weighed_by))
     monkeypatch.setattr(selection, "_look_back", lambda search, one: None)
     search = Turning(**vars(searching()))
-    search.keep(found(10.0))
-    search.keep(found(11.0, FRICTION))
+    for effects in ((), (FRICTION,), (STRIBECK,), (CLOCK,)):
+        search.keep(found(10.0, *effects))
     search.weighed_by = frozenset({("another", "")})
     _finish(search)
-    assert len(refitted) == min(turns + 2, SETTLING) and search.outdated != settles
+    assert len(refitted) == rounds and (search.wanted == search.reading) == (turns < 1000)
 
 
 def test_beside_a_law_its_special_case_is_no_cause_and_the_law_takes_it_in() -> None:
