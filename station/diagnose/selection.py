@@ -472,20 +472,28 @@ def fitted(search: Selection, causes: Causes, whole: Causes) -> Fit:
 
 
 def _finish(search: Selection) -> None:
-    """Fit the best set and its close rivals to the end under the best's weighing: none loses by where it ended.
+    """Fit the likeliest sets to the end under a weighing that the best of them gives.
 
-    A best that ended in another valley is looked back upon once more: no set with less was begun there.  It ends where
-    the best is best by its own weighing, or where one comes back by whose weighing another was: that would never end.
+    It ends where the best is best by its own weighing, or where one comes back by whose weighing another was: that
+    would never end.
     """
-    read: list[tuple[Causes, bool]] = []
-    while not read or search.wanted not in read:
-        if read:
-            search.weigh(search.best())
+    _to_the_end(search)
+    read = [search.reading]
+    while search.wanted not in read:
+        search.weigh(search.best())
         read.append(search.reading)
-        best = search.best()
-        close = search.close(2 * search.effort.finished)
-        subsets = [f for f in search.fits.values() if f.key < best.key and f not in close]
-        _refit(search, [*close, *subsets], True)
-        best = search.best()
-        if search.looked_back is None or search.is_news(best, search.looked_back):
-            _look_back(search, best)
+        _to_the_end(search)
+
+
+def _to_the_end(search: Selection) -> None:
+    """Fit the best set, its close rivals and its subsets to the end: none loses by where it ended.
+
+    A best that ended in another valley is looked back upon once more: no set with less was begun there.
+    """
+    best = search.best()
+    close = search.close(2 * search.effort.finished)
+    subsets = [f for f in search.fits.values() if f.key < best.key and f not in close]
+    _refit(search, [*close, *subsets], True)
+    best = search.best()
+    if search.looked_back is None or search.is_news(best, search.looked_back):
+        _look_back(search, best)

@@ -229,7 +229,7 @@ class Fit(Point):
         across = whole[np.ix_(sought, other)]
         taken = np.linalg.solve(whole[np.ix_(other, other)], np.column_stack([across.T, force[other]]))
         return Differing(self.space.rig, whole[np.ix_(sought, sought)] - across @ taken[:, :-1],
-                          force[sought] - across @ taken[:, -1], self.away[:, -2:].ravel())
+                         force[sought] - across @ taken[:, -1], self.away[:, -2:].ravel())
 
     def most_likely_differ(self, weighing: Weighing, may: tuple[bool, bool] = (True, True)) -> tuple[float, float]:
         """How much runs differ in what the motor does more than the rig says (``Weighing.differ``); in what they may
