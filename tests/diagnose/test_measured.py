@@ -69,8 +69,9 @@ def test_of_two_logs_alone_it_is_said_that_the_motor_does_more_in_one() -> None:
     """By 28 %, between the arm's two groups of logs; no encoder's disc is so eccentric."""
     runs = [load_run(measured_log(name)) for name in ("lead_accel", "pulse")]
     said = diagnose(load_rig("sflr"), runs, effort="quick").diagnosis
-    named = {cause.effect for cause in said.causes}
-    assert "coulomb_friction" in named and "encoder_eccentricity" not in named
+    named = {cause.effect: cause for cause in said.causes}
+    friction = named["coulomb_friction"]
+    assert friction.probability > SURE and friction.stability > SURE and "encoder_eccentricity" not in named
     assert said.between_runs is not None and said.between_runs.probability["share"] > SURE
 
 
