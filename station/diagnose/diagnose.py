@@ -27,6 +27,7 @@ from station.errors import UsageError, WorkError
 from station.estimation.cause import Key
 from station.estimation.dataset import canonical_order, dataset
 from station.estimation.least_squares import CANNOT_SIMULATE, DIVERGED
+from station.estimation.loaded import load_compiled
 from station.estimation.observer import observers
 from station.estimation.pool import SIZE, Pool
 from station.estimation.prediction import SEARCH, Predictor, predict_run
@@ -50,11 +51,16 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     if effort not in EFFORTS:
         raise UsageError(f"--effort: {effort!r} is none of {', '.join(EFFORTS)}")
     order = canonical_order(runs) if runs else []
-    pool = Pool(threads, __name__)
+    pool = Pool(threads, f"{__name__}:prepare")
     with threadpool_limits(1):
         found = _diagnose(rig, [runs[i] for i in order], effort, progress or (lambda text, share: None), pool)
     _put_in_order(found, [runs[i].name for i in order], order)
     return replace(found, seconds=time.perf_counter() - begun)
+
+
+def prepare() -> None:
+    """What a process beside this one does before it is asked for anything; that it is in this module loads the rest."""
+    load_compiled()
 
 
 def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str, float], None],

@@ -25,6 +25,7 @@ from station.diagnose.trials import trials
 from station.estimation.cause import Key
 from station.estimation.dataset import tests_of
 from station.estimation.fitted import Fit
+from station.estimation.loaded import PREPARE
 from station.estimation.noise import ACCEL_DEFAULT, QUANTISATION
 from station.estimation.parameters import prior_covariance
 from station.estimation.pool import SIZE, Pool
@@ -97,7 +98,7 @@ def first_test(rig: Rig) -> Choice:
     accel = [np.hypot(ACCEL_DEFAULT, np.sqrt(QUANTISATION))] if rig.accelerometer is not None else []
     base = Belief("the rig as its file says", np.zeros(len(paths)), np.eye(len(paths)), model)
     drawn = [replace(base, x=x) for x in np.random.default_rng(0).normal(size=(PRIOR_DRAWS, len(paths)))]
-    planner = Planner(rig, np.array([np.sqrt(QUANTISATION), *accel]), Pool(SIZE, __name__))
+    planner = Planner(rig, np.array([np.sqrt(QUANTISATION), *accel]), Pool(SIZE, PREPARE))
     found = (planner.best(showing(planner, base, _addable(rig), drawn, PRIOR_REACH), trials(rig))
              or planner.best(showing(planner, base, _addable(rig)), trials(rig)))
     return _choice(found, planner)

@@ -81,7 +81,7 @@ class _Descent:
         value += float(np.sum(self.nuisance * self.away(own) ** 2))
         return Point(x, own, predicted, residuals, squares, value if np.all(np.isfinite(squares)) else np.inf)
 
-    def column(self, here: Point, k: int) -> list[np.ndarray]:
+    def column(self, predictor: Predictor, here: Point, k: int) -> list[np.ndarray]:
         """Derivatives of the scaled predictions by one parameter or nuisance, per run; 0 where none is simulated.
 
         Sticking makes outputs kinked: what counts is the difference over a step, so steps are not tiny.
@@ -93,14 +93,15 @@ class _Descent:
                 x[k] += step
             else:
                 own[:, self.data.free[k - p]] += step
-            moved = self.predictor.runs(self.space, x, own)
+            moved = predictor.runs(self.space, x, own)
             if all(np.all(np.isfinite(y)) for y in moved):
                 return [(y - y0) * s / step for y, y0, s in zip(moved, here.predicted, self.scale, strict=True)]
         return [np.zeros_like(y) for y in here.predicted]
 
     def columns(self, here: Point, some: np.ndarray) -> list[list[np.ndarray]]:
         """Several of them: sent one by one they would take twice as long, a column is so quick."""
-        return [self.column(here, k) for k in some.tolist()]
+        around = self.predictor.around(self.space, here.x)
+        return [self.column(around, here, k) for k in some.tolist()]
 
     def jacobian(self, here: Point, known: list[np.ndarray] | None = None) -> list[np.ndarray]:
         """Per run (p + c, b, n); those by constants and nuisances are taken from ``known``, if there is one.

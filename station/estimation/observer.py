@@ -27,7 +27,7 @@ import numpy as np
 
 from station.estimation.noise import QUANTISATION
 from station.model.compiled import njit
-from station.model.modal import ModalForm, apply, dense
+from station.model.modal import EXPONENTIAL, INTEGRAL, ModalForm, apply, function
 from station.model.simulate import Model, build
 from station.rig import Rig
 
@@ -186,14 +186,27 @@ def _speeds(form: ModalForm) -> np.ndarray:
 
 def _filter(model: Model, horizon: float, blocks: np.ndarray) -> _Filter:
     """Of the modes ``blocks`` alone."""
-    form, kept, period = model.form.select(blocks), model.form.columns(blocks), _period(model)
-    size, decay = len(kept), math.exp(-model.rig.period / horizon)
-    held = apply(form.integral(period), model.per_count[kept])
-    f = np.zeros((size + 1, size + 1))
-    f[:size, :size], f[:size, size], f[size, size] = dense(form.exponential(period)), held * decay, decay
-    h = np.append(model.plan.base_angle[kept] * model.plan.counts_per_radian, 0.0)
-    first = np.append((model.form.inverse[:, : model.assembly.size] @ model.assembly.rigid)[kept], 0.0)
-    return _Filter(f, h, np.append(held, 1.0), first / (h @ first), decay, model.rig.period)
+    form, kept, decay = model.form, model.form.columns(blocks), math.exp(-model.rig.period / horizon)
+    still = form.inverse[kept, : model.assembly.size] @ model.assembly.rigid
+    shown = model.plan.base_angle[kept] * model.plan.counts_per_radian
+    f, enters = _transition(form.kind[blocks], form.eigenvalues[blocks], model.per_count[kept], decay, _period(model))
+    return _Filter(f, np.append(shown, 0.0), enters, np.append(still / (shown @ still), 0.0), decay, model.rig.period)
+
+
+@njit(cache=True)
+def _transition(kind, eigenvalues, per_count, decay, period):
+    """``_Filter.f`` and ``_Filter.enters``."""
+    free, held = function(kind, eigenvalues, EXPONENTIAL, period), function(kind, eigenvalues, INTEGRAL, period)
+    half, size = kind.size, per_count.size
+    f, enters = np.zeros((size + 1, size + 1)), np.ones(size + 1)
+    for i in range(half):
+        j = half + i
+        f[i, i], f[i, j], f[j, i], f[j, j] = free[0, i], free[1, i], free[2, i], free[3, i]
+        enters[i] = held[0, i] * per_count[i] + held[1, i] * per_count[j]
+        enters[j] = held[2, i] * per_count[i] + held[3, i] * per_count[j]
+    for i in range(size + 1):
+        f[i, size] = enters[i] * decay
+    return f, enters
 
 
 def _period(model: Model) -> float:

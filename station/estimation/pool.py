@@ -41,7 +41,7 @@ class Pool:
     """This process, and ``size`` - 1 others beside it; sent along with a part, it arrives as one of size 1."""
 
     def __init__(self, size: int = 1, prepare: str = "") -> None:
-        """``prepare``: the module that the others import before anything is asked of them."""
+        """``prepare``: what the others call before anything is asked of them, as "module:function"."""
         self.size = size
         _beside.begin(size - 1, prepare)
 
@@ -132,7 +132,7 @@ class _Helper:
         threading.Thread(target=self._await, daemon=True).start()
 
     def _await(self) -> None:
-        """Until it has imported what it needs nothing is asked: it would keep others waiting."""
+        """Until it has what it needs nothing is asked: it would keep others waiting."""
         with suppress(*GONE):
             pickle.load(self.answers)
             self.ready = True
@@ -211,7 +211,8 @@ def serve(prepare: str) -> None:
     asked, answers = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)       # what is printed is no answer
     if prepare:
-        importlib.import_module(prepare)
+        module, _, name = prepare.partition(":")
+        getattr(importlib.import_module(module), name)()
     with threadpool_limits(1), suppress(*GONE):
         _write(answers, pickle.dumps("ready"))
         function: Callable[[Any], Any] | None = None

@@ -151,11 +151,18 @@ class Predictor:
     accuracy: Accuracy = SEARCH
     final: Accuracy = FINE
     """Of the simulations from which values are stated."""
+    beside: Model | None = None
+    """A rig near those to come."""
 
     def near(self, space: Parameters, x: np.ndarray) -> Predictor:
         """The same, quicker for rigs like the one that a parameter vector describes."""
         model = self.model(space, x)
         return replace(self, observers=tuple(observer.near(model) for observer in self.observers))
+
+    def around(self, space: Parameters, x: np.ndarray) -> Predictor:
+        """The same for rigs so near to the one that a parameter vector describes that they are told to first order, as
+        derivatives by its constants want them."""
+        return replace(self, beside=self.model(space, x))
 
     def on(self, data: Dataset) -> Predictor:
         """The same on other data of the same runs."""
@@ -214,7 +221,7 @@ class Predictor:
     def model(self, space: Parameters, x: np.ndarray) -> Model:
         """The rig that a parameter vector describes, made ready for the many simulations of a fit."""
         truncation, longest, longest_gap = self.accuracy
-        return build(space.rig_at(x), truncation, longest_gap if space.gap_places else longest)
+        return build(space.rig_at(x), truncation, longest_gap if space.gap_places else longest, self.beside)
 
     def some(self, model: Model, space: Parameters, x: np.ndarray, runs: Sequence[int], own: np.ndarray,
              ) -> list[np.ndarray]:

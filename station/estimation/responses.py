@@ -60,7 +60,7 @@ def with_responses(predictor: Predictor, alone: bool) -> ResponsePredictor:
         raise WorkError("no run is long and rich enough for a fit in the frequency domain (coherence above "
                         f"{COHERENT:g} at {FEWEST} frequencies); fit in the time domain")
     return ResponsePredictor(data, () if alone else predictor.observers, predictor.pool, predictor.accuracy,
-                             predictor.final, found)
+                             predictor.final, spectra=found)
 
 
 def spectra(run: Run, channels: int) -> list[Spectrum | None]:

@@ -15,6 +15,7 @@ from station.estimation import least_squares
 from station.estimation.constants import cooled, refined, searched, settled
 from station.estimation.dataset import canonical_order, dataset
 from station.estimation.identifiability import unseen
+from station.estimation.loaded import PREPARE
 from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
 from station.estimation.pool import SIZE, Pool
@@ -60,7 +61,8 @@ def fit(rig: Rig, runs: Sequence[Run], hold: Sequence[str] | None = None, *, dom
     seen = np.linalg.qr(hidden, mode="complete")[0][:, hidden.shape[1]:]
     starts, nominal = max(starts, 1), math.inf
     with threadpool_limits(1):
-        predictor = Predictor(data, observers(data.rig, data.noise[0]), Pool(threads, __name__))
+        pool = Pool(threads, PREPARE)
+        predictor = Predictor(data, observers(data.rig, data.noise[0]), pool)
         if domain != "time":
             predictor = with_responses(predictor, alone=domain == "frequency")
         try:

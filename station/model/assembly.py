@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from station.model.beam import beam_matrices, element_strain, rigidity
+from station.model.compiled import njit
 from station.rig import Rig
 
 
@@ -55,35 +56,54 @@ def assemble(rig: Rig) -> Assembly:
     else:
         root = base if rig.clamp is None else base + 1
         size = root + 1 + 2 * beam.elements
-    mass, damping, stiffness = (np.zeros((size, size)) for _ in range(3))
-    mass[motor, motor] += rig.motor.inertia
-    damping[motor, motor] += rig.motor.damping
+    inertias, nodes, tip = [(motor, rig.motor.inertia)], np.zeros(0, dtype=int), None
     if rig.base is not None:
-        mass[base, base] += rig.base.inertia
-    for joint, one, other in ((rig.drive, motor, base), (rig.clamp, base, root)):
-        if joint is not None:
-            for a, b, sign in ((one, one, 1.0), (other, other, 1.0), (one, other, -1.0), (other, one, -1.0)):
-                stiffness[a, b] += sign * joint.stiffness
-                damping[a, b] += sign * joint.damping
+        inertias.append((base, rig.base.inertia))
+    joints = [(one, other, joint.stiffness, joint.damping)
+              for joint, one, other in ((rig.drive, motor, base), (rig.clamp, base, root)) if joint is not None]
+    beam_mass, beam_stiffness, beam_damping = np.zeros((1, 1)), np.zeros((1, 1)), 0.0
     rigid = np.zeros(size)
     rigid[: base + 1] = 1.0
-    if beam is None:
-        return Assembly(mass, damping, stiffness, rigid, motor, base, None, None, np.zeros(0, dtype=int))
-    beam_mass, beam_stiffness = beam_matrices(beam.mass_per_length, beam.flexural_rigidity, beam.length, beam.elements,
-                                              beam.profile)
-    at = slice(root, size)
-    mass[at, at] += beam_mass[1:, 1:]
-    stiffness[at, at] += beam_stiffness[1:, 1:]
-    damping[at, at] += beam.damping * beam_stiffness[1:, 1:]
-    nodes = root + 1 + 2 * np.arange(beam.elements)
-    tip = int(nodes[-1])
-    if rig.tip is not None:
-        mass[tip, tip] += rig.tip.mass
-        mass[tip + 1, tip + 1] += rig.tip.inertia
-    rigid[root] = 1.0
-    rigid[nodes] = beam.length / beam.elements * np.arange(1, beam.elements + 1)
-    rigid[nodes + 1] = 1.0
-    return Assembly(mass, damping, stiffness, rigid, motor, base, root, tip, nodes)
+    if beam is not None and root is not None:
+        beam_mass, beam_stiffness = beam_matrices(beam.mass_per_length, beam.flexural_rigidity, beam.length,
+                                                  beam.elements, beam.profile)
+        beam_damping = beam.damping
+        nodes = root + 1 + 2 * np.arange(beam.elements)
+        tip = size - 2
+        if rig.tip is not None:
+            inertias += [(tip, rig.tip.mass), (tip + 1, rig.tip.inertia)]
+        rigid[root] = 1.0
+        rigid[nodes] = beam.length / beam.elements * np.arange(1, beam.elements + 1)
+        rigid[nodes + 1] = 1.0
+    mass, damping, stiffness = _joined(size, np.array(inertias), np.array(joints).reshape(-1, 4), beam_mass,
+                                       beam_stiffness, beam_damping)
+    damping[motor, motor] += rig.motor.damping
+    return Assembly(mass, damping, stiffness, rigid, motor, base, root if beam is not None else None, tip, nodes)
+
+
+@njit(cache=True)
+def _joined(size, inertias, joints, beam_mass, beam_stiffness, beam_damping):
+    """M, C and K of inertias (index, inertia), joints (index, index, stiffness, damping) and a free beam whose end is
+    held, in the last coordinates."""
+    mass, damping, stiffness = np.zeros((size, size)), np.zeros((size, size)), np.zeros((size, size))
+    count = len(beam_mass) - 1
+    at = size - count
+    for i in range(count):
+        for j in range(count):
+            mass[at + i, at + j] = beam_mass[1 + i, 1 + j]
+            stiffness[at + i, at + j] = beam_stiffness[1 + i, 1 + j]
+            damping[at + i, at + j] = beam_damping * beam_stiffness[1 + i, 1 + j]
+    for k in range(len(inertias)):
+        i = int(inertias[k, 0])
+        mass[i, i] += inertias[k, 1]
+    for k in range(len(joints)):
+        one, other = int(joints[k, 0]), int(joints[k, 1])
+        for matrix, value in ((stiffness, joints[k, 2]), (damping, joints[k, 3])):
+            matrix[one, one] += value
+            matrix[other, other] += value
+            matrix[one, other] -= value
+            matrix[other, one] -= value
+    return mass, damping, stiffness
 
 
 def strain(rig: Rig) -> np.ndarray:

@@ -13,6 +13,7 @@ a rotation in radians is used here throughout, so that every other part joins wi
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -53,29 +54,33 @@ def element_strain(flexural_rigidity: float, h: float) -> np.ndarray:
 
 def rigidity(elements: int, factors: Sequence[float]) -> np.ndarray:
     """(elements) rigidity in the middle of every element over the mean: product of factors ^ cos(k pi x/L)."""
-    if all(factor == 1.0 for factor in factors):
-        return np.ones(elements)
-    x = (np.arange(elements) + 0.5) / elements
-    waves = np.array([np.cos(k * np.pi * x) for k in range(1, len(factors) + 1)]).reshape(len(factors), elements)
-    return np.exp(np.log(np.asarray(factors, dtype=float)) @ waves)
-
-
-def beam_matrices(mass_per_length: float, flexural_rigidity: float, length: float,
-                  elements: int,
-                  factors: Sequence[float] = ()) -> tuple[np.ndarray, np.ndarray]:
-    """Mass and stiffness (2n+2 x 2n+2) of a free beam, nodes [y0, theta0, ...]; ``factors``: see ``rigidity``."""
-    h = length / elements
-    mass, stiffness = element_mass(mass_per_length, h), element_stiffness(flexural_rigidity, h)
-    size = 2 * elements + 2
-    total_mass, total_stiffness = np.zeros((size, size)), np.zeros((size, size))
-    _join(mass, stiffness, rigidity(elements, factors), total_mass, total_stiffness)
-    return total_mass, total_stiffness
+    return _rigidity(elements, np.asarray(factors, dtype=float))
 
 
 @njit(cache=True)
-def _join(mass, stiffness, shares, total_mass, total_stiffness):
+def _rigidity(elements, factors):
+    shares = np.ones(elements)
+    for i in range(elements):
+        for k in range(factors.size):
+            shares[i] *= factors[k] ** math.cos((k + 1) * math.pi * (i + 0.5) / elements)
+    return shares
+
+
+def beam_matrices(mass_per_length: float, flexural_rigidity: float, length: float,
+                  elements: int, factors: Sequence[float] = ()) -> tuple[np.ndarray, np.ndarray]:
+    """Mass and stiffness (2n+2 x 2n+2) of a free beam, nodes [y0, theta0, ...]; ``factors``: see ``rigidity``."""
+    h = length / elements
+    return _joined(element_mass(mass_per_length, h), element_stiffness(flexural_rigidity, h),
+                   _rigidity(elements, np.asarray(factors, dtype=float)))
+
+
+@njit(cache=True)
+def _joined(mass, stiffness, shares):
+    size = 2 * shares.size + 2
+    total_mass, total_stiffness = np.zeros((size, size)), np.zeros((size, size))
     for k in range(shares.size):
         for i in range(4):
             for j in range(4):
                 total_mass[2 * k + i, 2 * k + j] += mass[i, j]
                 total_stiffness[2 * k + i, 2 * k + j] += shares[k] * stiffness[i, j]
+    return total_mass, total_stiffness

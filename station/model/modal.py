@@ -18,11 +18,13 @@ from station.model.assembly import Assembly, state_matrix
 from station.model.compiled import njit
 
 JORDAN, PAIR, REAL = 0, 1, 2
-ITSELF, EXPONENTIAL, INTEGRAL = 0, 1, 2
-"""Functions of the blocks."""
+ITSELF, EXPONENTIAL, INTEGRAL = np.int64(0), np.int64(1), np.int64(2)
+"""Functions of the blocks; for each plain integer Numba would compile them once more."""
+SMALL = 1e-3
+"""Of a change to first order, the share of it that is wrong."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ModalForm:
     """x = basis z; blocks of z in order.
 
@@ -49,6 +51,25 @@ class ModalForm:
         """The same with only some blocks (indices): a modal truncation."""
         columns = self.columns(keep)
         return ModalForm(self.kind[keep], self.eigenvalues[keep], self.basis[:, columns], self.inverse[columns])
+
+    def moved(self, change: np.ndarray) -> ModalForm | None:
+        """The form where A has changed by so much (2n, 2n), to first order; None where that is not small, or where this
+        form has a Jordan block.
+
+        With E = V^-1 change V: lambda_i + E_ii, V (I + X), (I - X) V^-1, where X_ij = E_ij/(lambda_j - lambda_i)
+        (Wilkinson, The Algebraic Eigenvalue Problem, 1965, chapter 2).  It is small where the second order, E_ij X_ji,
+        moves no eigenvalue by more than SMALL of what the first moves one, both over the eigenvalue.
+        """
+        if JORDAN in self.kind:
+            return None
+        e = self.inverse @ (change @ self.basis)
+        moved, mixed = _first_order(self.kind, self.eigenvalues, e)
+        size = np.maximum(np.abs(self.eigenvalues), 1e-300).T.ravel()
+        first = np.abs(moved - self.eigenvalues).T.ravel() / size
+        second = np.abs(np.einsum("ij,ji->i", e, mixed)) / size
+        if not np.all((second <= SMALL * first.max()) | (self.eigenvalues.T.ravel() == 0.0)):
+            return None
+        return ModalForm(self.kind, moved, self.basis + self.basis @ mixed, self.inverse - mixed @ self.inverse)
 
     def rates(self) -> np.ndarray:
         """A itself, (4, b): of each block [[f0, f1], [f2, f3]]."""
@@ -108,6 +129,35 @@ def function(kind, eigenvalues, which, h):
         else:
             out[1, i] = 1.0 if which == ITSELF else h if which == EXPONENTIAL else 0.5 * h * h
     return out
+
+
+@njit(cache=True)
+def _first_order(kind, eigenvalues, e):
+    """(b, 2) eigenvalues and X (2b, 2b), in the blocks' coordinates, as is E; in between, a pair's [p q] become v and
+    its conjugate, [p q] [[1, 1], [j, -j]]."""
+    b, moved, mixed = kind.size, eigenvalues.copy(), np.zeros_like(e)
+    for i in range(b):
+        for j in range(b):
+            w, x = complex(e[i, j]), complex(e[i, b + j])
+            y, z = complex(e[b + i, j]), complex(e[b + i, b + j])
+            if kind[i] == PAIR:
+                w, x, y, z = 0.5 * (w - 1j * y), 0.5 * (x - 1j * z), 0.5 * (w + 1j * y), 0.5 * (x + 1j * z)
+            if kind[j] == PAIR:
+                w, x, y, z = w + 1j * x, w - 1j * x, y + 1j * z, y - 1j * z
+            one, other = eigenvalues[i]
+            if i == j:
+                moved[i, 0] += w if one != 0.0 else 0.0    # the rigid mode's stays
+                moved[i, 1] += z
+                w, x, y, z = 0j, x / (other - one), y / (one - other), 0j
+            else:
+                w, x = w / (eigenvalues[j, 0] - one), x / (eigenvalues[j, 1] - one)
+                y, z = y / (eigenvalues[j, 0] - other), z / (eigenvalues[j, 1] - other)
+            if kind[j] == PAIR:
+                w, x, y, z = 0.5 * (w + x), 0.5j * (x - w), 0.5 * (y + z), 0.5j * (z - y)
+            if kind[i] == PAIR:
+                w, x, y, z = w + y, x + z, 1j * (w - y), 1j * (x - z)
+            mixed[i, j], mixed[i, b + j], mixed[b + i, j], mixed[b + i, b + j] = w.real, x.real, y.real, z.real
+    return moved, mixed
 
 
 def modal_form(assembly: Assembly) -> ModalForm:

@@ -13,10 +13,11 @@ import numpy as np
 from station.control.compensators import Compensator, commanded
 from station.errors import UsageError, WorkError
 from station.model import stepper
-from station.model.assembly import Assembly, assemble, axis_moment
-from station.model.compiled import address, njit
+from station.model.assembly import Assembly
+from station.model.compiled import address
 from station.model.effects import Effect, Stage
-from station.model.modal import INTEGRAL, ModalForm, apply, function, modal_form
+from station.model.modal import ModalForm
+from station.model.sampled import Linear, linear
 from station.rig import Rig
 from station.runs.run import Run, RunMetadata
 
@@ -25,12 +26,13 @@ SUBSTEP = 5e-4
 TRUNCATION = 0.01
 """Modes are left out while the sum of what they could add to either output stays below this, counts."""
 
-PORT_SHARE = 0.02
-
 _STAGE = {Stage.COMMAND: stepper.COMMAND, Stage.TORQUE: stepper.TORQUE, Stage.FRICTION: stepper.FRICTION,
           Stage.GAP: stepper.GAP, Stage.SPRING: stepper.SPRING, Stage.ACCEL_INPUT: stepper.ACCEL_INPUT,
           Stage.ACCEL_FILTER: stepper.ACCEL_FILTER, Stage.ACCEL_COUNTS: stepper.ACCEL_COUNTS,
           Stage.ENCODER: stepper.ENCODER}
+_BETWEEN = (Stage.TORQUE, Stage.FRICTION, Stage.GAP, Stage.SPRING, Stage.ACCEL_FILTER)
+"""Stages whose laws act between ticks, as those of the others do where they have states; else a command is held, and
+sensors are read at ticks alone."""
 _PORTS = ("motor", "base", "drive", "clamp")
 
 
@@ -54,101 +56,42 @@ class Model:
     """A rig made ready for the stepper; independent of any run."""
 
     rig: Rig
-    assembly: Assembly
-    form: ModalForm
+    linear: Linear
     plan: stepper.Plan
-    per_count: np.ndarray
-    """(2 b) rate of the modes per count of torque at the motor."""
     effect_states: int
     filters: int
     rings: int
-    dropped: float
-    """Bound of what the modes left out could add to an output, counts."""
+
+    @property
+    def assembly(self) -> Assembly:
+        """Its matrices."""
+        return self.linear.assembly
+
+    @property
+    def form(self) -> ModalForm:
+        """Its modes that are simulated."""
+        return self.linear.form
+
+    @property
+    def per_count(self) -> np.ndarray:
+        """(2 b) rate of these per count of torque at the motor."""
+        return self.linear.per_count
+
+    @property
+    def dropped(self) -> float:
+        """Bound of what the modes left out could add to an output, counts."""
+        return self.linear.dropped
 
     def __reduce__(self) -> NoReturn:
         raise TypeError("a model holds addresses of this process; send its rig")
 
 
-class _Tables:
-    """A rig as its linear part sees it: equal where the tables are, whatever effects it has.
-
-    ``moving``: as its motion alone sees it, whatever drives and reads it.
-    """
-
-    def __init__(self, rig: Rig, moving: bool = False) -> None:
-        self.rig, motor = rig, rig.motor
-        self._key: tuple[object, ...] = (motor.inertia, motor.damping, rig.drive, rig.base, rig.clamp, rig.beam,
-                                         rig.tip)
-        if not moving:
-            self._key += (motor.gain, rig.accelerometer, rig.amplifier, rig.encoder)
-        self._hash = hash(self._key)
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Tables) and self._key == other._key
-
-
-@functools.lru_cache(maxsize=32)
-def _decoupled(tables: _Tables) -> tuple[Assembly, ModalForm]:
-    """Kept, since a fit moves effects on the same linear part again and again."""
-    parts = assemble(tables.rig)
-    return parts, modal_form(parts)
-
-
-@functools.lru_cache(maxsize=32)
-def _sampled(tables: _Tables, ports: tuple[str, ...], period: float, substeps: int, delay: float, truncation: float,
-             ) -> tuple[Assembly, ModalForm, stepper.Plan, np.ndarray, float]:
-    """The linear part with its ports, truncated and sampled: its matrices, its form, a plan without effects, what a
-    count of command does, and what Model drops."""
-    rig, h = tables.rig, period / substeps
-    parts, whole = _decoupled(_Tables(rig, moving=True))
-    n, rotations = parts.size, _rotations(parts, ports)
-    inputs = np.column_stack([rig.motor.gain * parts.unit(parts.motor), *rotations])
-    forces = whole.inverse[:, n:] @ np.linalg.solve(parts.mass, inputs)
-    rate = whole.rates()
-    fed_back = [vector for port, vector in zip(ports, rotations, strict=True) if port == "clamp"]
-    keep, dropped = _truncate(rig, parts, whole, forces, rate, fed_back, period, truncation)
-    form, kept, rate = whole.select(keep), whole.columns(keep), rate[:, keep]
-    held, exponential = form.integral(h), form.exponential(h)
-    command, torques = forces[kept, 0], forces[kept, 1:].T
-    if parts.tip is None or rig.accelerometer is None:
-        tip_speed, gain = np.zeros(2 * form.blocks), 0.0
-    else:
-        tip_speed, gain = form.basis[n + parts.tip], rig.accelerometer.gain
-    whole_delay = int(delay / period + 1e-9)
-    rest = max(delay - whole_delay * period, 0.0)
-    switch = int(rest / h + 1e-9) if rest > 1e-9 * period else -1
-    switch_time = rest - switch * h if switch >= 0 else 0.0
-    port_angle = np.array([rotation @ form.basis[:n] for rotation in rotations]).reshape(-1, 2 * form.blocks)
-    port_speed = np.array([rotation @ form.basis[n:] for rotation in rotations]).reshape(-1, 2 * form.blocks)
-    port_held = np.array([apply(held, torque) for torque in torques]).reshape(-1, 2 * form.blocks)
-    joints = [getattr(rig, port) if port in ("drive", "clamp") else None for port in ports]
-    table, first, arguments, _ = slots(rig, [], ports)
-    moment = axis_moment(parts, rig.motor.damping) @ form.basis
-    switched = np.zeros_like(command)
-    if switch >= 0:
-        switched = apply(form.exponential(h - switch_time), apply(form.integral(switch_time), command))
-    plan = stepper.Plan(
-        substeps, h, exponential, apply(held, command), switched, switch, switch_time, whole_delay,
-        np.ascontiguousarray(form.basis[parts.base]), np.ascontiguousarray(form.basis[n + parts.base]),
-        _row(tip_speed, rate),
-        float(tip_speed @ command), np.array([int(j is not None) for j in joints], dtype=np.int64),
-        port_angle, port_speed, port_held, np.array([float(tip_speed @ torque) for torque in torques]),
-        port_angle @ port_held.T, port_speed @ port_held.T,
-        np.array([0.0 if j is None else j.stiffness for j in joints]),
-        np.array([0.0 if j is None else j.damping for j in joints]),
-        -1, -1, rig.motor.gain, rig.motor.damping, moment, port_held @ moment,
-        table, first, arguments, rig.amplifier.limit, rig.beam.length if rig.beam else 0.0,
-        1.0 / rig.angle_per_count, gain, 0.0, 0.0)
-    return parts, form, plan, command, dropped
-
-
-def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP) -> Model:
+def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP,
+          beside: Model | None = None) -> Model:
     """Assemble, decouple, truncate and sample a rig and lay out its effects.
 
-    ``truncation`` (counts) and ``longest`` (step, s) buy speed for accuracy.
+    ``truncation`` (counts) and ``longest`` (step, s) buy speed for accuracy.  ``beside``: a rig that may be near;
+    where it is, the modes are told to first order in what is between them.
     """
     period, delay, late = rig.period, 0.0, {Stage.ENCODER_DELAY: 0.0, Stage.ACCEL_DELAY: 0.0}
     for effect in rig.effects:
@@ -159,33 +102,40 @@ def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP) ->
         elif effect.stage in late:
             late[effect.stage] += next(iter(effect.values().values()))
     laws = sorted((e for e in rig.effects if e.stage in _STAGE), key=lambda e: (_STAGE[e.stage], e.order))
-    within = bool(laws) or any(late.values())
+    within = any(e.stage in _BETWEEN or e.states for e in laws) or any(late.values())
     substeps = math.ceil(period / longest - 1e-9) if within else 1
     ports = _ports(rig, laws)
     loaded = any(by_load(rig, e) for e in laws)
     if loaded and rig.drive is None and rig.beam is not None:
         truncation = 0.0   # the moment at the beam's root is the sum of all modes
-    parts, form, plan, per_count, dropped = _sampled(_Tables(rig), ports, period, substeps, delay, truncation)
+    h = period / substeps
+    whole_delay = int(delay / period + 1e-9)
+    rest = max(delay - whole_delay * period, 0.0)
+    switch = int(rest / h + 1e-9) if rest > 1e-9 * period else -1
+    switch_time = rest - switch * h if switch >= 0 else 0.0
+    found = linear(rig, ports, h, substeps, switch_time, truncation, beside.linear if beside else None)
+    joints = [getattr(rig, port) if port in ("drive", "clamp") else None for port in ports]
     table, first, arguments, states = slots(rig, laws, ports)
-    plan = plan._replace(
+    plan = stepper.Plan(
+        **found.sampled._asdict(), substeps=substeps, h=h, switch=switch, switch_time=switch_time,
+        whole_delay=whole_delay, port_joint=np.array([int(j is not None) for j in joints], dtype=np.int64),
+        joint_stiffness=np.array([0.0 if j is None else j.stiffness for j in joints]),
+        joint_damping=np.array([0.0 if j is None else j.damping for j in joints]),
         load_port=ports.index("drive") if loaded and rig.drive is not None else -1,
         axis_port=ports.index("motor") if loaded and rig.drive is None else -1,
-        slots=table, first=first, arguments=arguments,
-        encoder_delay=late[Stage.ENCODER_DELAY] / plan.h, accel_delay=late[Stage.ACCEL_DELAY] / plan.h)
+        motor_gain=rig.motor.gain, motor_damping=rig.motor.damping, slots=table, first=first, arguments=arguments,
+        limit=rig.amplifier.limit, length=rig.beam.length if rig.beam else 0.0,
+        counts_per_radian=1.0 / rig.angle_per_count,
+        counts_per_acceleration=rig.accelerometer.gain if found.assembly.tip is not None and rig.accelerometer else 0.0,
+        encoder_delay=late[Stage.ENCODER_DELAY] / h, accel_delay=late[Stage.ACCEL_DELAY] / h)
     filters = int(first[stepper.ACCEL_FILTER + 1] - first[stepper.ACCEL_FILTER])
     rings = int(max(plan.encoder_delay, plan.accel_delay)) + 3
-    return Model(rig, parts, form, plan, per_count, states, filters, rings, dropped)
+    return Model(rig, found, plan, states, filters, rings)
 
 
 def by_load(rig: Rig, effect: Effect) -> bool:
     """Whether an effect's law asks for the load on the gears: friction of a drive, or of what stands for it."""
     return effect.stage is Stage.FRICTION and (effect.at == "drive" or rig.drive is None and "drive" in effect.sites)
-
-
-def _row(output: np.ndarray, blocks: np.ndarray) -> np.ndarray:
-    """Row vector (2b) times blocks (4, b)."""
-    one, two = output.reshape(2, -1)
-    return np.concatenate([one * blocks[0] + two * blocks[2], one * blocks[1] + two * blocks[3]])
 
 
 def _ports(rig: Rig, laws: list[Effect]) -> tuple[str, ...]:
@@ -199,60 +149,6 @@ def _ports(rig: Rig, laws: list[Effect]) -> tuple[str, ...]:
     if rig.drive is None and "base" in wanted:
         wanted = (wanted - {"base"}) | {"motor"}
     return tuple(port for port in _PORTS if port in wanted)
-
-
-def _rotations(parts: Assembly, ports: tuple[str, ...]) -> list[np.ndarray]:
-    """Of each port its rotation, which is, by virtual work, the generalised torque of one N m there."""
-    vectors = {"motor": parts.unit(parts.motor), "base": parts.unit(parts.base),
-               "drive": parts.unit(parts.motor) - parts.unit(parts.base)}
-    if parts.root is not None:
-        vectors["clamp"] = parts.unit(parts.base) - parts.unit(parts.root)
-    return [vectors[port] for port in ports]
-
-
-def _truncate(rig: Rig, parts: Assembly, form: ModalForm, forces: np.ndarray, rate: np.ndarray,
-              fed_back: list[np.ndarray], period: float, allowed: float) -> tuple[np.ndarray, float]:
-    """Which blocks to keep, for the others cannot matter, and what these could add to an output, counts.
-
-    A port's torque counts as PORT_SHARE of the motor's largest.  ``forces`` (2b, 1 + ports): of one count, and of one
-    N m at each port; ``rate`` (4, b): the blocks themselves.  ``fed_back``: rotations of a stiff joint at the beam's
-    root; an effect acts on them and every mode of the beam yields there, so they count as outputs, in encoder counts.
-    """
-    n, largest = parts.size, rig.amplifier.limit * forces
-    largest[:, 1:] *= PORT_SHARE * rig.motor.gain
-    outputs = np.array([parts.unit(parts.base), *fed_back]) @ form.basis[:n] / rig.angle_per_count
-    through = np.zeros_like(outputs)
-    if parts.tip is not None and rig.accelerometer is not None:
-        tip = form.basis[n + parts.tip] * rig.accelerometer.gain
-        outputs, through = np.vstack([outputs, _row(tip, rate)]), np.vstack([through, tip])
-    most = _bounds(form.kind, form.eigenvalues, outputs, through, largest, period)
-    order = np.argsort(most)
-    total = np.cumsum(most[order])
-    count = int(np.searchsorted(total, allowed))
-    return np.sort(order[count:]), float(total[count - 1]) if count else 0.0
-
-
-@njit(cache=True)
-def _bounds(kind, eigenvalues, outputs, through, largest, period):
-    """(b) the most that every block could add to any output (o, 2b) by any input (2b, m), some of which it passes
-    ``through`` (o, 2b) at once; infinite of a mode that nothing brings back.
-
-    A block with the output c and the sampled response g adds at most sum_k |c e^(A k T) g|, which
-    |c| |g| / (1 - |e^(lambda T)|) bounds.
-    """
-    most, held, b = np.zeros(kind.size), function(kind, eigenvalues, INTEGRAL, period), kind.size
-    for i in range(b):
-        one, other = eigenvalues[i]
-        decay = max(1.0 - math.exp(max(one.real, other.real) * period), 1e-12)
-        for k in range(largest.shape[1]):
-            first, second = largest[i, k], largest[b + i, k]
-            response = math.hypot(held[0, i] * first + held[1, i] * second, held[2, i] * first + held[3, i] * second)
-            for c in range(len(outputs)):
-                bound = math.hypot(outputs[c, i], outputs[c, b + i]) * response / decay
-                most[i] = max(most[i], bound + abs(through[c, i] * first + through[c, b + i] * second))
-        if min(abs(one), abs(other)) == 0.0:
-            most[i] = np.inf
-    return most
 
 
 def slots(rig: Rig, laws: list[Effect], ports: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:

@@ -209,6 +209,6 @@ def test_zeros_that_are_moved_in_all_runs_at_once_move_each_run_by_its_own() -> 
     here = descent.at(space.mean, predictor.data.own)
     jacobian, first = descent.jacobian(here), space.parts["zeros"].start
     for group in (0, 1):
-        for r, alone in enumerate(descent.column(here, first + group)):
+        for r, alone in enumerate(descent.columns(here, np.array([first + group]))[0]):
             np.testing.assert_array_equal(jacobian[r][first + group], alone)
             assert np.any(alone) == (predictor.data.zero_groups[r] == group)

@@ -258,6 +258,24 @@ def test_neutral_value_gives_the_linear_model_back(rig, key):
             np.testing.assert_allclose(getattr(other, channel), whole, rtol=0.0, atol=1e-9 * np.abs(whole).max())
 
 
+@pytest.mark.parametrize("key", KEYS, ids="@".join)
+def test_what_acts_at_ticks_alone_takes_one_step_a_period_and_is_the_same_in_many(rig, key):
+    name, at = key
+    cls = effect_class(name)
+    effect = cls(at=at, **VALUES[key])
+    within = effect_class("coulomb_friction")(at="motor", torque=0.0)
+    once, often = (build(rig.with_effects(effects), truncation=0.0) for effects in ([effect], [effect, within]))
+    at_ticks = cls.states == 0 and cls.stage in (Stage.COMMAND, Stage.ENCODER, Stage.ACCEL_INPUT, Stage.ACCEL_COUNTS,
+                                                 Stage.INPUT_DELAY, Stage.CLOCK)
+    assert often.plan.substeps > 1 and (once.plan.substeps == 1) == at_ticks
+    for test in TESTS if at_ticks else ():
+        one, many = (simulate_model(model, as_run(test), rounding=False, start_angle=START, accel_offset=OFFSET)
+                     for model in (once, often))
+        for channel in ("encoder", "accel"):
+            whole = getattr(one, channel)
+            np.testing.assert_allclose(getattr(many, channel), whole, rtol=0.0, atol=1e-8 * np.abs(whole).max())
+
+
 @pytest.mark.parametrize("shape", sorted(set(RIGS) - {"sflr"}))
 def test_every_effect_agrees_with_the_independent_generator_on_a_rig_of_other_parts(shape):
     rig, table, tests = RIGS[shape], tables()[shape], [test for test in TESTS if test.controller != "lead_accel"]
