@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from station.estimation.dataset import dataset
 from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
 from station.estimation.pool import Pool
-from station.estimation.prediction import Predictor, _predict
+from station.estimation.prediction import Predictor, is_compiled
 from station.model.compiled import address
 from station.model.effects import catalogue
 from station.rig import load_rig
@@ -24,7 +22,7 @@ ROWS = 10
 def load_compiled() -> None:
     """Have what predictions call in this process, out of Numba's cache: a process that begins to load when it is first
     asked keeps the others waiting.  Nothing where it is not there: or two would compile it at the same time."""
-    if not _is_cached():
+    if not is_compiled():
         return
     rig, still = load_rig("sflr"), np.zeros(ROWS)
     run = Run("still", np.arange(ROWS) / rig.sample_rate, still, still, still, still,
@@ -35,8 +33,3 @@ def load_compiled() -> None:
     for effect in catalogue().values():
         if effect.law is not None:
             address(effect.law)
-
-
-def _is_cached() -> bool:
-    code = _predict.py_func.__code__
-    return any(Path(_predict.stats.cache_path).glob(f"{Path(code.co_filename).stem}.{code.co_name}-*.nbi"))

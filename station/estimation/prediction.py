@@ -14,6 +14,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
@@ -94,6 +95,12 @@ def _restart(fresh, run, state):
     state.torque[:] = 0.0
     state.commands[:] = 0.0
     state.clock[:] = 0
+
+
+def is_compiled() -> bool:
+    """Whether Numba's cache holds the code of predictions."""
+    code = _predict.py_func.__code__
+    return any(Path(_predict.stats.cache_path).glob(f"{Path(code.co_filename).stem}.{code.co_name}-*.nbi"))
 
 
 def _predicted(data: Dataset, model: Model, observers: Sequence[Observer], logs: Logs, starts: Sequence[State],

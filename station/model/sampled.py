@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,26 +16,6 @@ from station.rig import Rig
 
 PORT_SHARE = 0.02
 """Of the motor's largest torque, that with which a port's is reckoned."""
-
-
-class Sampled(NamedTuple):
-    """Arrays of ``stepper.Plan``, under their names there."""
-
-    phi: np.ndarray
-    held: np.ndarray
-    switched: np.ndarray
-    base_angle: np.ndarray
-    base_speed: np.ndarray
-    tip_acceleration: np.ndarray
-    tip_feedthrough: float
-    port_angle: np.ndarray
-    port_speed: np.ndarray
-    port_held: np.ndarray
-    port_tip: np.ndarray
-    angle_gain: np.ndarray
-    speed_gain: np.ndarray
-    moment: np.ndarray
-    moment_gain: np.ndarray
 
 
 class _Tables:
@@ -68,7 +48,6 @@ class Linear:
     """All its modes."""
     form: ModalForm
     """Those that are kept."""
-    sampled: Sampled
     per_count: np.ndarray
     """(2 b) rate of these per count of command."""
     dropped: float
@@ -76,12 +55,13 @@ class Linear:
 
 
 def linear(rig: Rig, ports: tuple[str, ...], h: float, substeps: int, switch_time: float, truncation: float,
-           beside: Linear | None = None) -> Linear:
-    """A rig without its effects, those of its modes that add more than ``truncation`` (counts) to an output sampled
-    with a step of ``h`` (s), of which ``substeps`` make a period.
+           beside: Linear | None = None) -> tuple[Linear, dict[str, Any]]:
+    """A rig without its effects, and what a ``stepper.Plan`` holds of it, by its names there.
 
-    ``ports``: where effects put torques.  ``switch_time`` (s): within a step, when the command switches, 0: at its
-    start.  ``beside``: a rig that may be near; where it is, the modes are told to first order in what is between them.
+    Kept are the modes that add more than ``truncation`` (counts) to an output sampled with a step of ``h`` (s), of
+    which ``substeps`` make a period.  ``ports``: where effects put torques.  ``switch_time`` (s): within a step, when
+    the command switches, 0: at its start.  ``beside``: a rig that may be near; where it is, the modes are told to first
+    order in what is between them.
     """
     return _linear(_Tables(rig), ports, h, substeps, switch_time, truncation, beside)
 
@@ -98,7 +78,7 @@ def _decoupled(tables: _Tables, beside: Linear | None) -> tuple[Assembly, ModalF
 
 @functools.lru_cache(maxsize=32)
 def _linear(tables: _Tables, ports: tuple[str, ...], h: float, substeps: int, switch_time: float, truncation: float,
-             beside: Linear | None) -> Linear:
+            beside: Linear | None) -> tuple[Linear, dict[str, Any]]:
     rig = tables.rig
     parts, whole = _decoupled(_Tables(rig, moving=True), beside)
     n, rotations = parts.size, _rotations(parts, ports)
@@ -115,9 +95,11 @@ def _linear(tables: _Tables, ports: tuple[str, ...], h: float, substeps: int, sw
     moment = axis_moment(parts, rig.motor.damping) @ form.basis
     phi, held, switched, tip_acceleration, through, angle_gain, speed_gain, moment_gain = _responses(
         form.kind, form.eigenvalues, forces, angles, speeds, tip[kept], moment, h, switch_time)
-    arrays = Sampled(phi, held[0], switched, angles[0], speeds[0], tip_acceleration, through[0], angles[1:], speeds[1:],
-                     held[1:], through[1:], angle_gain, speed_gain, moment, moment_gain)
-    return Linear(parts, whole, form, arrays, forces[0], dropped)
+    return Linear(parts, whole, form, forces[0], dropped), {
+        "phi": phi, "held": held[0], "switched": switched, "base_angle": angles[0], "base_speed": speeds[0],
+        "tip_acceleration": tip_acceleration, "tip_feedthrough": through[0], "port_angle": angles[1:],
+        "port_speed": speeds[1:], "port_held": held[1:], "port_tip": through[1:], "angle_gain": angle_gain,
+        "speed_gain": speed_gain, "moment": moment, "moment_gain": moment_gain, "counts_per_acceleration": gain}
 
 
 def _rotations(parts: Assembly, ports: tuple[str, ...]) -> np.ndarray:
@@ -190,7 +172,7 @@ def _bounds(kind, eigenvalues, outputs, tip, largest, period):
 
 @njit(cache=True)
 def _responses(kind, eigenvalues, forces, angles, speeds, tip, moment, h, switch_time):
-    """Of ``Sampled``: phi, held, switched, tip_acceleration, tip_feedthrough and the gains of angle, speed and moment.
+    """Of a plan: phi, held, switched, tip_acceleration, tip_feedthrough and the gains of angle, speed and moment.
 
     ``forces`` (1 + p, 2b): of one count, and of one N m at each port, and so is what they do; ``angles`` and ``speeds``
     (1 + p, 2b) of the base and at each port.

@@ -13,10 +13,8 @@ import numpy as np
 from station.control.compensators import Compensator, commanded
 from station.errors import UsageError, WorkError
 from station.model import stepper
-from station.model.assembly import Assembly
 from station.model.compiled import address
 from station.model.effects import Effect, Stage
-from station.model.modal import ModalForm
 from station.model.sampled import Linear, linear
 from station.rig import Rig
 from station.runs.run import Run, RunMetadata
@@ -52,35 +50,14 @@ class Simulation:
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class Model(Linear):
     """A rig made ready for the stepper; independent of any run."""
 
     rig: Rig
-    linear: Linear
     plan: stepper.Plan
     effect_states: int
     filters: int
     rings: int
-
-    @property
-    def assembly(self) -> Assembly:
-        """Its matrices."""
-        return self.linear.assembly
-
-    @property
-    def form(self) -> ModalForm:
-        """Its modes that are simulated."""
-        return self.linear.form
-
-    @property
-    def per_count(self) -> np.ndarray:
-        """(2 b) rate of these per count of torque at the motor."""
-        return self.linear.per_count
-
-    @property
-    def dropped(self) -> float:
-        """Bound of what the modes left out could add to an output, counts."""
-        return self.linear.dropped
 
     def __reduce__(self) -> NoReturn:
         raise TypeError("a model holds addresses of this process; send its rig")
@@ -113,11 +90,11 @@ def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP,
     rest = max(delay - whole_delay * period, 0.0)
     switch = int(rest / h + 1e-9) if rest > 1e-9 * period else -1
     switch_time = rest - switch * h if switch >= 0 else 0.0
-    found = linear(rig, ports, h, substeps, switch_time, truncation, beside.linear if beside else None)
+    found, arrays = linear(rig, ports, h, substeps, switch_time, truncation, beside)
     joints = [getattr(rig, port) if port in ("drive", "clamp") else None for port in ports]
     table, first, arguments, states = slots(rig, laws, ports)
     plan = stepper.Plan(
-        **found.sampled._asdict(), substeps=substeps, h=h, switch=switch, switch_time=switch_time,
+        **arrays, substeps=substeps, h=h, switch=switch, switch_time=switch_time,
         whole_delay=whole_delay, port_joint=np.array([int(j is not None) for j in joints], dtype=np.int64),
         joint_stiffness=np.array([0.0 if j is None else j.stiffness for j in joints]),
         joint_damping=np.array([0.0 if j is None else j.damping for j in joints]),
@@ -126,11 +103,10 @@ def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP,
         motor_gain=rig.motor.gain, motor_damping=rig.motor.damping, slots=table, first=first, arguments=arguments,
         limit=rig.amplifier.limit, length=rig.beam.length if rig.beam else 0.0,
         counts_per_radian=1.0 / rig.angle_per_count,
-        counts_per_acceleration=rig.accelerometer.gain if found.assembly.tip is not None and rig.accelerometer else 0.0,
         encoder_delay=late[Stage.ENCODER_DELAY] / h, accel_delay=late[Stage.ACCEL_DELAY] / h)
     filters = int(first[stepper.ACCEL_FILTER + 1] - first[stepper.ACCEL_FILTER])
     rings = int(max(plan.encoder_delay, plan.accel_delay)) + 3
-    return Model(rig, found, plan, states, filters, rings)
+    return Model(**vars(found), rig=rig, plan=plan, effect_states=states, filters=filters, rings=rings)
 
 
 def by_load(rig: Rig, effect: Effect) -> bool:
