@@ -6,6 +6,8 @@
 DATA holds the folders sflr and xl330 (default ../shared/data).  Each diagnosis is one call of the command itself,
 `station diagnose --rig RIG FILES --json …`; xl330 is done twice, with and without the logs' controller line.  Every
 number of the linear and the extended rig is of a run that the fit behind it has not seen: each run is left out in turn.
+The arm's best linear rig stands there twice: with one value of each constant for all runs, and, as the diagnosis has it
+for comparison, with runs that may differ in what the motor does.
 """
 
 from __future__ import annotations
@@ -16,14 +18,25 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from station.cli import diagnosis as command
 from station.diagnose.measures import nrmse, step_measures
 from station.diagnose.result import DiagnosisResult, RunComparison
+from station.diagnose.validation import leave_each_out, simulate_unseen
 from station.errors import StationError
+from station.estimation.constants import ROUNDS, base_fit
+from station.estimation.dataset import dataset
+from station.estimation.fitted import weighing_of
+from station.estimation.least_squares import fit
+from station.estimation.loaded import PREPARE
+from station.estimation.observer import observers
+from station.estimation.pool import Pool
+from station.estimation.prediction import Predictor
 from station.model.simulate import Simulation
 from station.runs.run import Run
 from station.view import wording
@@ -81,15 +94,30 @@ def simulations(row: RunComparison) -> list[Simulation]:
     return [row.before, row.refit, row.after or row.refit]
 
 
+def held_alike(result: DiagnosisResult) -> list[Simulation]:
+    """Every run by the linear rig that suits the others best with one value of each constant for all of them."""
+    with threadpool_limits(1):
+        data = dataset(result.rig, [row.run for row in result.comparisons])
+        predictor = Predictor(data, observers(data.rig, data.noise[0]), Pool(1, PREPARE))
+        found = base_fit(predictor)
+        for _ in range(ROUNDS):
+            weighing = replace(weighing_of(predictor, found), differ=(0.0, 0.0))
+            found = fit(predictor, found.space, weighing, found.x, found.own, to_the_end=True)
+        return simulate_unseen(predictor, leave_each_out(predictor, found.weighing, found))
+
+
 def arm_table(result: DiagnosisResult) -> None:
     """Fits, overshoot and settling time of each run."""
-    print("| run | measured | nominal `sflr` | best linear rig | extended rig |\n| --- | --- | --- | --- | --- |")
+    print("| run | measured | nominal `sflr` | best linear rig, runs alike | the same, runs differ | extended rig |\n"
+          "| --- | --- | --- | --- | --- | --- |")
     every = []
-    for row in result.comparisons:
+    for row, alike in zip(result.comparisons, held_alike(result), strict=True):
         name = next((text for start, text in NAMES.items() if row.run.name.startswith(start)), row.run.name)
-        every.append([fits(row.run, s) for s in simulations(row)])
+        nominal, *fitted = simulations(row)
+        made = [nominal, alike, *fitted]
+        every.append([fits(row.run, s) for s in made])
         cells = [" / ".join(f"{fit:.1f}" for fit in f) + steps(step_measures(row.run, s.encoder))
-                 for f, s in zip(every[-1], simulations(row), strict=True)]
+                 for f, s in zip(every[-1], made, strict=True)]
         print(f"| {name} | {steps(step_measures(row.run, row.run.encoder)).removeprefix('; ')} | {' | '.join(cells)} |")
     print("| mean | | " + " | ".join(" / ".join(f"{fit:.1f}" for fit in f) for f in np.mean(every, axis=0)) + " |")
 

@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from scripts import measured_rig
 from station.diagnose.diagnose import diagnose
 from station.diagnose.measures import step_measures
 from station.diagnose.result import DiagnosisResult
@@ -37,17 +38,20 @@ def fits(result: DiagnosisResult) -> np.ndarray:
 
 def test_runs_of_the_arm_that_no_fit_has_seen_are_met_as_well_as_asked_but_for_the_acceleration() -> None:
     """Asked are 89 / 68, and no run more than 1 below the best linear rig.  The acceleration reaches 66; that no linear
-    model does much better: docs/score.md.  The P step's is 1.0 to 1.2 below, as far as its fits are taken: the
-    simulated arm sticks after 0.9 s, the measured one creeps on.
+    model does much better: docs/score.md.  Beside a linear rig whose runs may differ, too, the P step's is 1.0 to 1.2
+    below, as far as its fits are taken: the simulated arm sticks after 0.9 s, the measured one creeps on.
     """
     linear, extended = np.moveaxis(fits(arm()), 2, 0)
     angle, acceleration = extended.mean(axis=0)
     assert angle > 89.0 and acceleration > 66.0
+    alike = [measured_rig.fits(row.run, simulation)
+             for row, simulation in zip(arm().comparisons, measured_rig.held_alike(arm()), strict=True)]
+    assert np.max(alike - extended) < 1.0, "no run is met worse than by the best linear rig"
     p_step = next(k for k, row in enumerate(arm().comparisons) if "P_control" in row.run.name)
     below = linear - extended
     assert below[p_step, 1] < 1.5
     below[p_step, 1] = 0.0
-    assert np.max(below) < 1.0, "no other run is met worse than by the best linear rig"
+    assert np.max(below) < 1.0, "nor any other by one whose runs may differ"
 
 
 @pytest.mark.parametrize(("log", "measured", "within"), [("P_control", 24.0, 3.0), ("accel_FB", 10.0, 2.01),
