@@ -151,7 +151,7 @@ class Planner:
         cost = (run.t[-1] / LONG + command
                 + float(np.max(np.abs(forecast.mean[0]))) / self.rig.encoder.counts_per_revolution)
         encoder, *accel = zip(*means, strict=True)
-        prediction = Prediction(trial.complete(), run.t, run.reference, names, encoder, accel[0] if accel else None)
+        prediction = Prediction(run.t, names, encoder, accel[0] if accel else None)
         return Worth(trial, self.worth(trial, value), cost, why, prediction, distance, shown)
 
     def best(self, judge: Judge, start: list[Trial]) -> Worth | None:

@@ -281,9 +281,7 @@ class RankedCause:
 class Prediction:
     """What two hypotheses predict of a test that has not been run, counts, from encoder count 0."""
 
-    test: dict[str, Any]
     t: np.ndarray
-    reference: np.ndarray
     names: tuple[str, str]
     encoder: tuple[np.ndarray, np.ndarray]
     accel: tuple[np.ndarray, np.ndarray] | None

@@ -56,8 +56,6 @@ class MissingTorque:
     base_speed: np.ndarray
     load: np.ndarray
     """On the gears, with the effects that the rig holds, N m: the drive's torque; without a drive see axis_load."""
-    step: float
-    """The likeliest step of the random walk per sample, N m (N)."""
     mistrust: float
     """How many times noisier than at rest the accelerometer is taken: above 1 no torque at this place explains it."""
     by_accel: bool
@@ -107,8 +105,7 @@ def missing_torque(rig: Rig, run: Run, at: str = "motor", *, along: str = "",
             known, forcing, seen = _known(plant, laws, motion, _load(plant, motion, reaching), known, excess)
     return MissingTorque(run.t, following(x[:, modes]), np.sqrt(following(variance)),
                          *motion.along(port_vector(rig, parts, along or at)), run.command,
-                         between(motion.speed[:, parts.base]), _load(plant, motion, reaching), step, mistrust,
-                         use_accel)
+                         between(motion.speed[:, parts.base]), _load(plant, motion, reaching), mistrust, use_accel)
 
 
 def _system(plant: Plant, port: np.ndarray, run: Run) -> System:

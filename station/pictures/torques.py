@@ -123,7 +123,7 @@ def estimates(cause: Cause, at: str) -> list[MissingTorque]:
 
 
 def joined(found: Sequence[MissingTorque]) -> MissingTorque:
-    """The rows of all runs, one run after the other, with the first run's step and mistrust."""
+    """The rows of all runs, one run after the other, with the first run's mistrust."""
     rows: dict[str, Any] = {name: np.concatenate([getattr(m, name) for m in found])
                             for name, first in vars(found[0]).items() if isinstance(first, np.ndarray)}
     return replace(found[0], by_accel=any(m.by_accel for m in found), **rows)

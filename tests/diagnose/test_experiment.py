@@ -106,9 +106,10 @@ def test_the_test_is_chosen_for_the_rivals_that_are_likely(planner):
 def test_what_is_predicted_of_a_choice_is_what_the_two_rivals_do(planner):
     plain = hypothesis("plain")
     clipped = hypothesis("clipped", effect("actuator_saturation", "amplifier", limit=120.0))
-    found = between(planner, [plain, clipped], [0.5, 0.5])(STEPS)[1].prediction
+    judged = between(planner, [plain, clipped], [0.5, 0.5])(STEPS)[1]
+    test, found = judged.trial.complete(), judged.prediction
     assert found.names == ("plain", "clipped") and len(found.t) == len(found.encoder[0]) == len(found.accel[1])
-    assert found.test["controller"] == P and found.test["duration"] == 2.0
+    assert test["controller"] == P and test["duration"] == 2.0
     assert np.max(np.abs(found.encoder[0] - found.encoder[1])) > 5.0
 
 
@@ -146,8 +147,7 @@ def test_runs_add_up_to_what_all_of_them_say_together():
 
 
 def worth(trial: Trial, value: float, cost: float) -> Worth:
-    return Worth(trial, value, cost, "", Prediction({}, np.zeros(1), np.zeros(1), ("", ""), (np.zeros(1),) * 2, None),
-                 0.0)
+    return Worth(trial, value, cost, "", Prediction(np.zeros(1), ("", ""), (np.zeros(1),) * 2, None), 0.0)
 
 
 def test_of_tests_that_are_worth_the_same_the_gentler_is_taken(planner):

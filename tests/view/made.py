@@ -124,8 +124,7 @@ def phase_evidence() -> Evidence:
 def prediction() -> Prediction:
     """What friction would change in a small step, and what the rig without it would do."""
     first = comparisons()[0]
-    return Prediction({"kind": "step", "amplitude": 50.0, "controller": {"kind": "p", "gain": 2.0}}, first.run.t,
-                      first.run.reference, ("no cause", "coulomb_friction at motor"),
+    return Prediction(first.run.t, ("no cause", "coulomb_friction at motor"),
                       (first.before.encoder, first.after.encoder), (first.before.accel, first.after.accel))
 
 
