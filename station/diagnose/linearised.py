@@ -22,7 +22,7 @@ from functools import cached_property
 import numpy as np
 
 from station.estimation.fitted import Fit
-from station.estimation.likelihood import cost
+from station.estimation.likelihood import block_weights, cost
 from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor
 
@@ -61,8 +61,6 @@ class Linearised:
     """Per run (b, n), scaled."""
     squares: np.ndarray
     """(runs, b) e'e."""
-    normal: np.ndarray
-    """(runs, b, k, k) J'J."""
     gradient: np.ndarray
     """(runs, b, k) J'e."""
     kept: list[int]
@@ -71,7 +69,7 @@ class Linearised:
     @staticmethod
     def of(predictor: Predictor, parent: Fit) -> Linearised:
         """About a fit that has its derivatives."""
-        return Linearised(predictor, parent, parent.residuals, parent.squares, *parent.by_block,
+        return Linearised(predictor, parent, parent.residuals, parent.squares, parent.by_block[1],
                           list(range(parent.space.size)))
 
     def without(self, reduced: Parameters) -> Linearised:
@@ -108,10 +106,6 @@ class Linearised:
         """By what the parent leaves."""
         return _Weighed(self, self.parent.blocks(self.parent.weighing))
 
-    def products(self, changes: list[Change]) -> tuple[np.ndarray, np.ndarray]:
-        """G (m, m) and b (m) of changes."""
-        return self.weighed.products(changes)
-
     def beyond(self, change: Change) -> tuple[float, float, float] | None:
         """What -2 ln L falls by before the change's size is chosen, G and b, weighed by what the change would leave.
 
@@ -121,7 +115,7 @@ class Linearised:
         if np.all(change.squares <= np.maximum(self.squares, parent.counts)):
             return None
         there = np.maximum(self.squares - 2.0 * self.by_errors(change) + change.squares, 0.0)
-        weighed = _Weighed(self, weighing.independent / np.maximum(there, parent.counts) / weighing.temperature)
+        weighed = _Weighed(self, block_weights(there, parent.counts, weighing.independent) / weighing.temperature)
         fall = (cost(self.squares, parent.counts, weighing.independent)
                 - cost(there, parent.counts, weighing.independent)) / weighing.temperature
         fall += float(np.sum(weighed.weights * (there - self.squares))) + weighed.fall - self.weighed.fall
@@ -136,7 +130,7 @@ class _Weighed:
         self.of, self.weights = of, weights
         parent, kept = of.parent, of.kept
         size, own = parent.space.size, parent.nuisance
-        matrices = np.einsum("rb,rbij->rij", weights, of.normal)
+        matrices = np.einsum("rb,rbij->rij", weights, parent.by_block[0])
         slopes = np.einsum("rb,rbi->ri", weights, of.gradient)
         self.inverse = np.linalg.inv(matrices[:, size:, size:] + own[..., None] * np.eye(own.shape[-1]))
         self.across = matrices[:, kept, size:]

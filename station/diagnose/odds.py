@@ -235,7 +235,8 @@ def may_be_accused(search: Selection, found: Fit, key: Key) -> bool:
     if not is_constant(key[0]):
         return possible(found, key)
     rig, path, paths = search.predictor.data.rig, constant_path(key[0]), found.space.paths
-    return deviation(found.logs, rig.sigma(path), rig.log_covariance(list(paths)), paths.index(path)) > BEYOND
+    logs, covariance = found.space.logs(found.x), rig.log_covariance(list(paths))
+    return deviation(logs, rig.sigma(path), covariance, paths.index(path)) > BEYOND
 
 
 def possible(found: Fit, key: Key) -> bool:
@@ -261,7 +262,7 @@ def estimates(found: Fit, rougher: Fit, left_out: Sequence[Fit],
     space, covariance, shift = found.space, found.covariance, found.x - rougher.x
     found_states = parameter_states(space, covariance, found.x)
     n = len(space.paths)
-    nominal = space.rig.constants()
+    nominal, logs = space.rig.constants(), space.logs(found.x)
     without = np.array([one.x for one in left_out if one.x.size == space.size])
 
     def jackknife(direction: np.ndarray) -> float:
@@ -271,7 +272,7 @@ def estimates(found: Fit, rougher: Fit, left_out: Sequence[Fit],
     log_sd = np.sqrt(np.diag(space.root @ covariance[:n, :n] @ space.root.T) + (space.root @ shift[:n]) ** 2)
     constants = {}
     for i, path in enumerate(space.paths):
-        value, deviation, between = nominal[path] * math.exp(found.logs[i]), log_sd[i], None
+        value, deviation, between = nominal[path] * math.exp(logs[i]), log_sd[i], None
         if path in space.hypothesis.constants:
             seen = _between(found, space.along_log(path))
             own = space.root[i] @ seen.covariance[:n, :n] @ space.root[i]

@@ -108,7 +108,7 @@ def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
             return _Row(Screened(candidate, guesses[0], 0.0, 1.0, 0.0), guesses[0], ())
         if len(changes) == 1:
             return _Row(_expected(known, candidate, guesses[0], changes[0]), guesses[0], changes, factor)
-        gram, slope = known.products(list(changes))
+        gram, slope = known.weighed.products(list(changes))
         sizes = _direction(gram, slope)
         said = _expected(known, candidate, turned(candidate, guesses[0], sizes), Change.combined(changes, sizes))
         # An effect shows if it does in any phase.
@@ -154,7 +154,7 @@ def _shared(parent: Fit, pool: Sequence[Candidate]) -> list[Screened]:
 
 def _expected(known: Linearised, candidate: Candidate, guess: dict[str, float], change: Change) -> Screened:
     """What a change is expected to gain: the most of two quadratics that give no more than the likelihood."""
-    gram, slope = known.products([change])
+    gram, slope = known.weighed.products([change])
     found = _screened(candidate, guess, float(gram[0, 0]), float(slope[0]))
     beyond = known.beyond(change)
     if beyond is not None:
@@ -182,7 +182,7 @@ def _pairs(known: Linearised, rows: Sequence[_Row]) -> list[tuple[Screened, Scre
     leading = list(best.values())[:PAIRED]
     if len(leading) < 2:
         return []
-    gram, slope = known.products([change for row in leading for change in row.changes])
+    gram, slope = known.weighed.products([change for row in leading for change in row.changes])
     columns = np.split(np.arange(len(slope)), np.cumsum([len(row.changes) for row in leading])[:-1])
     pairs = []
     for (one, mine), (other, its) in combinations(zip(leading, columns, strict=True), 2):
@@ -209,7 +209,7 @@ def _in_place(known: Linearised, rows: Sequence[_Row]) -> dict[Key, list[Screene
             for row in rows:
                 key = row.screened.candidate.key
                 if key[0] == less[0] or len(hypothesis.causes) > 1:
-                    gram, slope = reduced.products(list(row.changes))
+                    gram, slope = reduced.weighed.products(list(row.changes))
                     sizes = _direction(gram, slope)
                     one = _screened(row.screened.candidate, turned(row.screened.candidate, row.guess, sizes),
                                     float(sizes @ gram @ sizes), float(slope @ sizes))

@@ -15,7 +15,7 @@ from station.diagnose.thresholds import EXPLAINABLE, UNSEEN
 from station.estimation.dataset import Dataset
 from station.estimation.fitted import Fit
 from station.estimation.least_squares import DIVERGED, STEP, correct, fit, own_steps
-from station.estimation.likelihood import Weighing, cost, nuisance_precision
+from station.estimation.likelihood import Weighing, block_weights, cost, nuisance_precision
 from station.estimation.observer import observers
 from station.estimation.prediction import Predictor, angle_that_reads, predict_run
 from station.estimation.spread import between_runs
@@ -170,7 +170,7 @@ def log_density(predictor: Predictor, weighing: Weighing, left: Fit, run: int) -
     for k in range(OWN_STEPS):
         for i in range(free if k else len(at)):     # the others: by ``correct``, below
             columns[i] = (here - errors(at + steps[i] * (np.arange(len(at)) == i))) / steps[i]
-        weights = independent / np.maximum(np.sum(here * here, axis=1), counts) / weighing.temperature
+        weights = block_weights(np.sum(here * here, axis=1), counts, independent) / weighing.temperature
         matrix = np.einsum("ibn,b,jbn->ij", columns, weights, columns) + np.diag(prior)
         step = np.linalg.solve(matrix, np.einsum("ibn,b,bn->i", columns, weights, here) - prior * (at - first))
         for share in (1.0, 0.3, 0.1):

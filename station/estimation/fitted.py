@@ -11,6 +11,7 @@ from scipy.optimize import minimize
 from station.estimation.differing import Differing
 from station.estimation.likelihood import (
     Weighing,
+    block_weights,
     cost,
     differ_precision,
     largest_differ,
@@ -99,11 +100,6 @@ class Fit(Point):
         return float(self.squares.sum() / self.counts.sum())
 
     @property
-    def logs(self) -> np.ndarray:
-        """Logarithms of constants over their nominal values."""
-        return self.space.logs(self.x)
-
-    @property
     def log_constants(self) -> float:
         """Log density of the constants' logarithms under their prior, up to a number that all hypotheses share."""
         w = self.x[self.space.parts["constants"]]
@@ -117,8 +113,7 @@ class Fit(Point):
     def blocks(self, weighing: Weighing, drawn: np.ndarray | None = None) -> np.ndarray:
         """(..., runs, b) weights W of the blocks at this fit; ``drawn`` (..., s): how often each stretch counts in each
         resample."""
-        squares, counts, independent = self.drawn(weighing, drawn)
-        return independent / np.maximum(squares, counts) / weighing.temperature
+        return block_weights(*self.drawn(weighing, drawn)) / weighing.temperature
 
     def drawn(self, weighing: Weighing, drawn: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Squares, counts and independent errors (..., runs, b) of resamples."""
@@ -203,14 +198,6 @@ class Fit(Point):
         return ((self.x + step[..., 0, :p] - self.space.mean) ** 2 @ self.space.precision
                 + np.sum(own * (self.away + step[..., p:]) ** 2, axis=(-2, -1)))
 
-    def _integrated(self, matrices: np.ndarray, slopes: np.ndarray, own: np.ndarray, most_gained: float,
-                    ) -> tuple[np.ndarray, np.ndarray]:
-        """By Laplace's approximation, one step from the fit (``_stepped``): what is added to -2 ln L there, priors
-        included, and ln of the squared volume that the data leave of the priors', both (...)."""
-        whole, volume = self._stepped(matrices, slopes, own)
-        gained = np.sum(whole * (2.0 * slopes - (matrices @ whole[..., None])[..., 0]), axis=(-2, -1))
-        return self._strained(whole, own) - np.minimum(gained, most_gained), volume
-
     def _differing(self, weighing: Weighing) -> Differing:
         """What the runs say of what they differ by, all else integrated out by Laplace's approximation at the fit."""
         p, (matrices, slopes), (runs, c) = self.space.size, self._by_run(weighing), self.nuisance.shape
@@ -279,7 +266,7 @@ class Fit(Point):
         squares, counts, left = self.squares, self.counts, self.squares
         own, (normals, slopes) = self.own_precision(weighing.differ), self.by_block
         for _ in range(REWEIGHED):
-            w = weighing.independent / np.maximum(left, counts) / weighing.temperature
+            w = block_weights(left, counts, weighing.independent) / weighing.temperature
             whole, volume = self._stepped(np.einsum("rb,rbij->rij", w, normals),
                                               np.einsum("rb,rbi->ri", w, slopes), own)
             left = np.maximum(squares - 2.0 * np.einsum("rbi,ri->rb", slopes, whole)
@@ -303,9 +290,12 @@ class Fit(Point):
         """(...) the same where runs differ by ``sizes`` (..., 2) in place of ``weighing.differ`` and stretches count as
         often as ``drawn`` (..., s) says; the two are broadcast."""
         squares, counts, independent = self.drawn(weighing, drawn)
-        value, volume = self._integrated(*self._by_run(weighing, drawn), self.own_precision(sizes), MOST_GAINED)
+        (matrices, slopes), own = self._by_run(weighing, drawn), self.own_precision(sizes)
+        step, volume = self._stepped(matrices, slopes, own)
+        gained = np.sum(step * (2.0 * slopes - (matrices @ step[..., None])[..., 0]), axis=(-2, -1))
         costs = np.sum(independent * rho(squares / counts), axis=(-2, -1))
-        return 0.5 * (volume - value - costs / weighing.temperature)
+        return 0.5 * (volume - (self._strained(step, own) - np.minimum(gained, MOST_GAINED))
+                      - costs / weighing.temperature)
 
 
 def weighing_of(predictor: Predictor, found: Fit, counted: np.ndarray | None = None) -> Weighing:

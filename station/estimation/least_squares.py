@@ -15,7 +15,7 @@ import numpy as np
 from station.estimation.dataset import Dataset
 from station.estimation.fitted import Fit, Information, Point
 from station.estimation.identifiability import unseen_with_effects
-from station.estimation.likelihood import Weighing, cost, nuisance_precision
+from station.estimation.likelihood import Weighing, block_weights, cost, nuisance_precision
 from station.estimation.parameters import Parameters
 from station.estimation.prediction import Predictor
 
@@ -139,7 +139,7 @@ class _Descent:
         """Normal matrix and force of the objective, and what gives the nuisances back: per run (c, p + 1)."""
         p, prior = self.space.size, self.space.precision
         matrix, force, back = np.diag(prior).copy(), -prior * (here.x - self.space.mean), []
-        w = (self.weighing.independent / np.maximum(here.squares, self.counts) / self.weighing.temperature
+        w = (block_weights(here.squares, self.counts, self.weighing.independent) / self.weighing.temperature
              * self.runs[:, None])
         away = self.away(here.own)
         for r, (j, e) in enumerate(zip(jac, here.residuals, strict=True)):

@@ -89,6 +89,11 @@ def cost(squares: np.ndarray, counts: np.ndarray, independent: np.ndarray) -> fl
     return float(np.sum(independent * rho(squares / counts)))
 
 
+def block_weights(squares: np.ndarray, counts: np.ndarray, independent: np.ndarray) -> np.ndarray:
+    """What a squared error of a block adds to its cost, N/max(S, n)."""
+    return independent / np.maximum(squares, counts)
+
+
 def expected(ratio: np.ndarray, independent: np.ndarray, power: np.ndarray) -> np.ndarray:
     """(runs, b) v, the mean square that a block is expected to have, from S/n, N and p (runs, b)."""
     shares = 1.0 + np.exp(SHARES)[:, None, None] * power

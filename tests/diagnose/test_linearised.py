@@ -37,7 +37,7 @@ def known() -> Iterator[tuple[Linearised, Change]]:
     found = Linearised.of(predictor, parent)
     change = found.change(space, space.carried(parent.space, parent.x, guess))
     assert change is not None
-    gram, slope = found.products([change])
+    gram, slope = found.weighed.products([change])
     yield found, multiple(change, slope[0] / gram[0, 0])
 
 
@@ -83,7 +83,7 @@ def resting(known: Linearised, run: int) -> Linearised:
 
 def test_both_quadratics_promise_no_more_than_the_likelihood_of_the_linear_model(known) -> None:
     found, change = known
-    gram, slope = found.products([change])
+    gram, slope = found.weighed.products([change])
     near = slope[0] ** 2 / gram[0, 0]
     most = fall(found.parent, change)
     beyond = found.beyond(change)
@@ -94,7 +94,7 @@ def test_both_quadratics_promise_no_more_than_the_likelihood_of_the_linear_model
 def test_a_run_in_which_the_change_does_far_more_than_was_missed_does_not_hide_what_it_buys_elsewhere(known) -> None:
     found, change = resting(known[0], 0), known[1]
     far = wild(change, 0)
-    gram, slope = found.products([far])
+    gram, slope = found.weighed.products([far])
     beyond = found.beyond(far)
     assert beyond is not None
     promised = beyond[0] + beyond[2] ** 2 / beyond[1]
@@ -114,9 +114,9 @@ def test_what_is_taken_out_by_the_parents_own_promises_nothing(known) -> None:
     found, change = known
     assert found.parent.jacobian is not None
     scaled = [j[0] for j in found.parent.jacobian]
-    same = Change(scaled, found.normal[:, :, 0, 0], found.normal[:, :, 0])
-    gram, slope = found.products([same])
+    same = Change(scaled, found.parent.by_block[0][:, :, 0, 0], found.parent.by_block[0][:, :, 0])
+    gram, slope = found.weighed.products([same])
     prior = found.parent.space.precision[0]
     assert gram[0, 0] <= prior * (1.0 + 1e-6)
-    both = found.products([same, change])[0]
-    assert np.allclose(both, both.T) and np.isclose(both[1, 1], found.products([change])[0][0, 0])
+    both = found.weighed.products([same, change])[0]
+    assert np.allclose(both, both.T) and np.isclose(both[1, 1], found.weighed.products([change])[0][0, 0])

@@ -150,7 +150,7 @@ def test_a_constant_is_accused_beyond_three_of_its_own_sigmas_only(sigmas: float
     search.predictor.data.rig = SimpleNamespace(constants=lambda: {"motor.gain": 1.0}, sigma=lambda path: 0.1,
                                                 log_covariance=lambda paths: np.array([[0.01]]))
     for found in search.fits.values():
-        found.space, found.logs = SimpleNamespace(paths=("motor.gain",)), np.array([0.1 * sigmas])
+        found.space, found.x = SimpleNamespace(paths=("motor.gain",), logs=lambda x: x), np.array([0.1 * sigmas])
     assert (GAIN in odds(search).causes) is accused
 
 
