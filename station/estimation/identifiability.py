@@ -16,13 +16,13 @@ determined, their common factor is the rig file's.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Literal
 
 import numpy as np
 import scipy.linalg
 
-from station.estimation.parameters import FARTHEST, Parameters
+from station.estimation.parameters import FARTHEST, Held, Parameters
 from station.model.effects import Effect
 from station.model.units import UnknownUnitError, dimension, powers
 
@@ -77,7 +77,7 @@ def unseen(space: Parameters) -> np.ndarray:
     They are those of the units of torque and length, which no reading carries (``diagnose.equivalences``), each unless
     an effect of the rig fixes it.
     """
-    logs, together = _units(space, [unit for unit in (0, 1) if not any(_carries(e, unit) for e in space.rig.effects)])
+    logs, together = _units(space, _open(space, ()))
     return np.linalg.qr(np.linalg.solve(space.root, logs @ together))[0]
 
 
@@ -87,13 +87,11 @@ def unseen_with_effects(space: Parameters, x: np.ndarray) -> np.ndarray:
     if space.root.shape[1] < len(space.paths) or not all(map(_is_known, effects)):
         return np.zeros((space.size, 0))
     held = [space.rig.effects[one.effect].parameters()[one.name].unit for one in space.held]
-    units = [unit for unit in (0, 1) if not any(
-        _carries(effect, unit, {one.name for one in space.held if one.effect == k})
-        for k, effect in enumerate(space.rig.effects))]
+    units = _open(space, space.held)
     logs, together = _units(space, units)
     moved = np.zeros((space.size, len(together)))
     moved[space.parts["constants"]] = np.linalg.solve(space.root, logs)
-    for k, unit in enumerate(_borne(space, units)):
+    for k, unit in enumerate(units):
         moved[space.parts["effects"], k] = [
             dimension(name)[unit] * (1.0 if coordinate.log else at)
             for name, coordinate, at in zip(effects, space.coordinates, x[space.parts["effects"]], strict=True)]
@@ -102,21 +100,24 @@ def unseen_with_effects(space: Parameters, x: np.ndarray) -> np.ndarray:
     return np.linalg.qr(moved @ together)[0]
 
 
-def _borne(space: Parameters, units: list[int]) -> list[int]:
-    """Those of some units that some constant bears."""
-    return [unit for unit in units if np.any(powers(list(space.rig.constants()), unit))]
+def _open(space: Parameters, held: Sequence[Held]) -> list[int]:
+    """The units of torque and length that some constant bears and no effect of the rig fixes, but for what is ``held``
+    of it within an uncertainty."""
+    moving = [{one.name for one in held if one.effect == k} for k in range(len(space.rig.effects))]
+    return [unit for unit in (0, 1) if np.any(powers(list(space.rig.constants()), unit))
+            and not any(_carries(effect, unit, names) for effect, names in zip(space.rig.effects, moving, strict=True))]
 
 
 def _units(space: Parameters, units: list[int]) -> tuple[np.ndarray, np.ndarray]:
     """(n, u) powers of units in the logarithms of the constants that move, and (u, k) those combinations of the units
     that leave the other constants where they are."""
     constants = list(space.rig.constants())
-    basis = np.array([powers(constants, unit) for unit in _borne(space, units)]).reshape(-1, len(constants))
+    basis = np.array([powers(constants, unit) for unit in units]).reshape(-1, len(constants))
     fixed = [k for k, path in enumerate(constants) if path not in space.paths]
     return basis[:, [constants.index(path) for path in space.paths]].T, scipy.linalg.null_space(basis[:, fixed].T)
 
 
-def _carries(effect: Effect, unit: int, moving: Collection[str] = ()) -> bool:
+def _carries(effect: Effect, unit: int, moving: Collection[str]) -> bool:
     """Whether an effect has a size with this unit in it, or one that is not known, beside those that move."""
     return any(value != 0.0 and (not _is_known(of := effect.parameters()[name].unit) or dimension(of)[unit] != 0)
                for name, value in effect.values().items() if name not in moving)
