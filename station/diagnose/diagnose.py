@@ -50,7 +50,7 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     begun = time.perf_counter()
     if effort not in EFFORTS:
         raise UsageError(f"--effort: {effort!r} is none of {', '.join(EFFORTS)}")
-    order = canonical_order(runs) if runs else []
+    order = canonical_order(runs)
     pool = Pool(threads, f"{__name__}:prepare")
     with threadpool_limits(1):
         found = _diagnose(rig, [runs[i] for i in order], effort, progress or (lambda text, share: None), pool)

@@ -13,6 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from station import __version__, markup
 from station.diagnose.measures import nrmse
+from station.estimation.identifiability import State
 from station.model.simulate import Simulation
 from station.rig import Rig
 from station.runs.run import Run
@@ -49,7 +50,7 @@ class Estimate(_Table):
     low: float
     high: float
     unit: str
-    state: Literal["determined", "at_bound", "traded_off", "not_excited"] = "determined"
+    state: State = "determined"
     spread: float | None = None
     """Standard deviation between runs where they differ; None where one value does for all."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from station.estimation.dataset import first_seconds
 from station.estimation.fitted import Fit, weighing_of
 from station.estimation.least_squares import DIVERGED, fit
-from station.estimation.likelihood import Weighing, largest_differ
+from station.estimation.likelihood import Weighing, differ_ends
 from station.estimation.parameters import Hypothesis, Parameters, parameters
 from station.estimation.prediction import Predictor
 
@@ -91,7 +91,7 @@ def unknown(predictor: Predictor) -> Weighing:
 
     By how much they do is read off what a fit gives each run: off one that gives them nothing, nothing can be.
     """
-    share, constant = largest_differ(predictor.data.rig).tolist()
+    share, constant = differ_ends(predictor.data.rig)[1].tolist()
     return Weighing(PRIOR_SHARE * predictor.counts, 1.0, (share, constant))
 
 

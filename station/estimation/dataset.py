@@ -63,6 +63,7 @@ class Record:
     """One run as an estimator sees it: n rows, c channels (encoder, accelerometer)."""
 
     run: Run
+    """Its gaps filled: rows that were not logged are simulated through and neither count nor correct."""
     window: np.ndarray
     """(n) whether a row counts."""
     measured: np.ndarray
@@ -79,11 +80,6 @@ class Record:
     """Number of the encoder's zero: runs of one share it."""
     segment: np.ndarray
     """(n) the number of each row's stretch, counted over all runs."""
-
-    @property
-    def logged(self) -> np.ndarray:
-        """(n) whether a row was logged; lost ones are simulated through and neither count nor correct."""
-        return self.run.logged
 
     @property
     def released(self) -> bool:
@@ -138,7 +134,7 @@ class Dataset:
     @cached_property
     def offset_error(self) -> np.ndarray:
         """(runs) standard error of the offset as read, counts: of a loop that acts from the start on, one reading's."""
-        rows = [max(int(r.logged[: len(r.run) if r.warm else rest_rows(r.run)].sum()), 1) for r in self.records]
+        rows = [max(int(r.run.logged[: len(r.run) if r.warm else rest_rows(r.run)].sum()), 1) for r in self.records]
         return self.sigma[-1] / np.sqrt(rows) if self.has_accel else np.zeros(len(rows))
 
     @cached_property
@@ -206,7 +202,7 @@ def _joined(records: Sequence[Record]) -> Logs:
     first = np.concatenate([[0], np.cumsum([len(one.run) for one in records])]).astype(np.int64)
     return Logs(first, np.concatenate([one.measured[0] for one in records]),
                 np.concatenate([one.run.command for one in records]).astype(float),
-                np.concatenate([one.logged for one in records]),
+                np.concatenate([one.run.logged for one in records]),
                 np.array([one.warm for one in records], dtype=np.int64))
 
 

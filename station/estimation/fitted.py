@@ -13,9 +13,8 @@ from station.estimation.likelihood import (
     Weighing,
     block_weights,
     cost,
+    differ_ends,
     differ_precision,
-    largest_differ,
-    least_differ,
     rho,
     temperatures,
 )
@@ -228,11 +227,11 @@ class Fit(Point):
         """
         if self.alone:
             return 0.0, 0.0
-        least = least_differ(self.space.rig)
+        least, largest = differ_ends(self.space.rig)
         if not any(may):
             return float(least[0]), float(least[1])
         differing = self._differing(weighing)
-        ends = np.log([least, np.where(may, largest_differ(self.space.rig), least)])
+        ends = np.log([least, np.where(may, largest, least)])
         steps = [np.unique(np.linspace(low, high, GRID)) for low, high in ends.T]
         grid = np.stack(np.meshgrid(*steps), axis=-1).reshape(-1, 2)
         begun = grid[np.argmax(differing.log_likelihoods(np.exp(grid)))]
@@ -249,7 +248,7 @@ class Fit(Point):
         if self.alone:
             return np.zeros(2)
         sizes = np.tile(weighing.differ, (2, SIZES, 1))
-        ends = np.log([least_differ(self.space.rig), largest_differ(self.space.rig)])
+        ends = np.log(differ_ends(self.space.rig))
         for k, logs in enumerate(np.linspace(ends[0], ends[1], SIZES).T):
             sizes[k, :, k] = np.exp(logs)
         log_density = self._differing(weighing).log_likelihoods(np.vstack([weighing.differ, *sizes]))

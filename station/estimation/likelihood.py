@@ -52,9 +52,9 @@ NEAR = 0.25
 """Longest of these: half of what lies between two of the starts."""
 NUISANCES = (0.35, 0.5)
 """Prior sigmas of a run's starting angle and accelerometer offset, counts: rounding's, and drift since it was read."""
-LEAST = np.array([1e-6, 5e-9])
+LEAST = 1e-6, 5e-9
 """By which runs differ where they do not: a share of the command, and of the amplifier's limit."""
-LARGEST = np.array([0.3, 0.01])
+LARGEST = 0.3, 0.01
 """Most by which runs differ: a share of the command (what the voltage of a supply that nothing regulates, a battery or
 a wall adapter, may differ by from one day to another), and of the amplifier's limit (an offset of its input)."""
 ROUNDS = 3
@@ -191,16 +191,12 @@ def nuisance_precision(data: Dataset, differ: tuple[float, float]) -> np.ndarray
     return np.stack([*found, *np.outer(differ_precision(data.rig, differ), np.ones_like(offset))], axis=1)[:, data.free]
 
 
-def least_differ(rig: Rig) -> np.ndarray:
-    """(2) by how much runs differ that do not: a share of the command, and a constant (counts of command)."""
-    return LEAST * np.array([1.0, rig.amplifier.limit])
-
-
-def largest_differ(rig: Rig) -> np.ndarray:
-    """(2) the most by which runs differ: a share of the command, and a constant (counts of command)."""
-    return LARGEST * np.array([1.0, rig.amplifier.limit])
+def differ_ends(rig: Rig) -> np.ndarray:
+    """(2, 2) by how much runs differ that do not, and the most by which they do: a share of the command, and a constant
+    (counts of command)."""
+    return np.array([LEAST, LARGEST]) * np.array([1.0, rig.amplifier.limit])
 
 
 def differ_precision(rig: Rig, differ: tuple[float, float] | np.ndarray) -> np.ndarray:
     """(..., 2) prior precisions of what the motor does more in a run, a share and a constant."""
-    return np.maximum(differ, least_differ(rig)) ** -2.0
+    return np.maximum(differ, differ_ends(rig)[0]) ** -2.0

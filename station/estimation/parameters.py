@@ -41,7 +41,7 @@ class Coordinate:
     scale: float
     high: float
     """Largest value that is physical on this rig."""
-    origin: float = 0.0
+    origin: float
 
     def to_value(self, x: float) -> float:
         """The parameter's value, kept within its bounds."""

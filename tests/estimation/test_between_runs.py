@@ -11,7 +11,7 @@ import pytest
 from station.estimation.dataset import dataset
 from station.estimation.fitted import Fit, weighing_of
 from station.estimation.least_squares import fit
-from station.estimation.likelihood import Weighing, largest_differ
+from station.estimation.likelihood import Weighing, differ_ends
 from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
 from station.estimation.pool import Pool
@@ -121,7 +121,7 @@ def test_sizes_are_those_of_the_highest_of_two_modes(share: float, sigma: float)
     """A gain that is off in all runs alike, begun from runs that differ: they are alike and the gain is off, or they
     differ, by as much.  Which is likelier hangs on the gain's uncertainty; between lies what is unlikely."""
     certain = AXIS.model_copy(update={"uncertainty": {"default": 0.001, "motor.gain": sigma}})
-    largest = largest_differ(certain)
+    largest = differ_ends(certain)[1]
     found = fitted(np.zeros(6), np.full(6, share), rig=certain, begun=(largest[0], largest[1]))
     size, constant = found.most_likely_differ(found.weighing)
     best = found.log_evidence(replace(found.weighing, differ=(size, constant)))

@@ -31,7 +31,7 @@ def with_gaps() -> Run:
 def test_lost_rows_do_not_count_and_the_others_count_as_in_the_whole_run():
     rig = load_rig("sflr")
     data, whole = dataset(rig, [with_gaps()]), dataset(rig, [step_run()])
-    assert np.array_equal(np.flatnonzero(~data.records[0].logged), LOST)
+    assert np.array_equal(np.flatnonzero(~data.records[0].run.logged), LOST)
     assert np.all(data.records[0].share[:, LOST] == 0.0)
     # When a count was left is not known where rows are lost: that stay, and the ones beside it, may last longer.
     stay = np.cumsum(np.diff(whole.records[0].measured[0], prepend=0.0) != 0.0)
