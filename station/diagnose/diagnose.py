@@ -51,16 +51,11 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     if effort not in EFFORTS:
         raise UsageError(f"--effort: {effort!r} is none of {', '.join(EFFORTS)}")
     order = canonical_order(runs)
-    pool = Pool(threads, f"{__name__}:prepare")
+    pool = Pool(threads, f"{__name__}:{load_compiled.__name__}")     # asked for here: to find it loads all of this
     with threadpool_limits(1):
         found = _diagnose(rig, [runs[i] for i in order], effort, progress or (lambda text, share: None), pool)
     _put_in_order(found, [runs[i].name for i in order], order)
     return replace(found, seconds=time.perf_counter() - begun)
-
-
-def prepare() -> None:
-    """What a process beside this one does before it is asked for anything; that it is in this module loads the rest."""
-    load_compiled()
 
 
 def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str, float], None],

@@ -191,11 +191,6 @@ class Dataset:
         """(c) standard deviation of a reading, rounding included, counts."""
         return np.sqrt(np.square(self.noise[: self.channels]) + QUANTISATION)
 
-    @property
-    def counts(self) -> np.ndarray:
-        """(runs, c) independent errors of the sensors."""
-        return np.array([record.share.sum(axis=1) for record in self.records])
-
 
 def _joined(records: Sequence[Record]) -> Logs:
     """Rows of records, one after another."""

@@ -35,7 +35,7 @@ MOST_GAINED = 20.0
 class Information:
     """What the data say about the parameters near a fit, by stretch s of time and block b: any weights, any resample.
 
-    Columns of M and v: the p parameters, then the nuisances of the stretch's run.
+    Columns of J: the p parameters, then what the stretch's run has of its own.
     """
 
     squares: np.ndarray

@@ -202,7 +202,8 @@ class Predictor:
         first = np.stack([data.start / data.rig.angle_per_count, data.offset][: data.channels], axis=1)
         found = [np.sum(((one.measured - f[:, None]) / data.sigma[:, None]) ** 2 * one.share, axis=1)
                  for one, f in zip(data.records, first, strict=True)]
-        return (np.array(found) / np.maximum(data.counts, 1e-9))[:, self.channel]
+        counts = np.maximum([one.share.sum(axis=1) for one in data.records], 1e-9)
+        return (np.array(found) / counts)[:, self.channel]
 
     def measured(self, run: int) -> np.ndarray:
         """(b, n) what one run's predictions are held against, counts."""
