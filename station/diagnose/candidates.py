@@ -35,9 +35,9 @@ class Candidate:
     @property
     def starts(self) -> int:
         """Guesses from which fits begin: more where the objective has many valleys (angles, gaps)."""
-        if self.effect is None:
-            return 1
-        return OF_A_GAP if self.effect.stage is Stage.GAP else min(1 + len(self.components) // PER_START, MOST_STARTS)
+        if self.effect is not None and self.effect.stage is Stage.GAP:
+            return OF_A_GAP
+        return min(1 + len(self.components) // PER_START, MOST_STARTS)
 
     @property
     def components(self) -> list[tuple[dict[str, float], ...]]:

@@ -46,12 +46,9 @@ def verdict(said: Stated, told: Odds, screened: Sequence[Screened], is_noise: bo
     if not said.causes:
         if not is_noise:
             return "unexplained"
-        plain: dict[tuple[str, str], float] = {}
-        for one in screened:
-            if one.candidate.effect is not None:
-                plain[one.candidate.key] = max(plain.get(one.candidate.key, 0.0), one.information)
-        seen = sum(value > VISIBLE for value in plain.values())
-        return "nothing_missing" if seen >= SEEN * len(plain) else "not_enough_data"
+        effects = {one.candidate.key for one in screened if one.candidate.effect is not None}
+        seen = {one.candidate.key for one in screened if one.information > VISIBLE}
+        return "nothing_missing" if len(effects & seen) >= SEEN * len(effects) else "not_enough_data"
     if not is_noise and against:
         return "unexplained"
     if said.one_of:
