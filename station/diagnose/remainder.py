@@ -11,6 +11,11 @@ from station.estimation.fitted import Fit
 from station.estimation.observer import noise_gain
 from station.estimation.prediction import Predictor
 
+SPAN = 25
+"""Samples whose errors are summed: what a swing of some Hz leaves adds up, noise averages out."""
+SCATTER = 3.0
+"""Variance of a squared error in units of its mean squared: 2 of a Gaussian one, 3 of one whose kurtosis is 4."""
+
 
 @dataclass(frozen=True)
 class Remainder:
@@ -25,12 +30,6 @@ class Remainder:
     def is_noise(self) -> bool:
         """Whether nothing stands out."""
         return bool(self.size.max() < NOISE and self.slow.max() < NOISE)
-
-
-SPAN = 25
-"""Samples whose errors are summed: what a swing of some Hz leaves adds up, noise averages out."""
-SCATTER = 3.0
-"""Variance of a squared error in units of its mean squared: 2 of a Gaussian one, 3 of one whose kurtosis is 4."""
 
 
 def _size(squares: np.ndarray, independent: np.ndarray, freedoms: np.ndarray) -> np.ndarray:

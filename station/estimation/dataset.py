@@ -25,7 +25,7 @@ from station.runs.ticks import CLOCKS
 SEGMENT = 1.0
 """Length of the stretches that are drawn again when data are resampled, s: longer than an arm's errors remember."""
 SEGMENTS = 40
-"""Most stretches in all runs together; they grow longer instead."""
+"""Most stretches in all runs together, one in each at least; they grow longer instead."""
 FINDS = 0.1
 """Horizon (s) of the observer that finds the state of a rig in motion.  Of a shorter one the base follows the encoder
 so stiffly that the beam's errors ring on as on a clamp; a longer one's base forgets late."""

@@ -37,7 +37,7 @@ class Differing:
         return self._at(sizes)[0]
 
     def surprise(self, logs: np.ndarray) -> tuple[float, np.ndarray]:
-        """Minus twice that, and its slope (2), at the logarithms of sizes (2).
+        """Minus twice ``log_likelihoods``, and its slope (2), at the logarithms of sizes (2).
 
         The slope follows from the runs' squares and what these leave uncertain (the identity behind expectation and
         maximisation: Dempster, Laird and Rubin, J. R. Stat. Soc. B 39, 1977); these rounds themselves take hundreds to

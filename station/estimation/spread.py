@@ -48,10 +48,10 @@ def between_runs(found: Fit, direction: np.ndarray, drawn: np.ndarray | None = N
     each stretch counts, by default once."""
     normals, gradients = found.run_normals(found.weighing, drawn)
     prior = found.space.precision
-    shared = normals.sum(axis=0) + np.diag(prior)
+    common = normals.sum(axis=0) + np.diag(prior)
     force = gradients.sum(axis=0) - prior * (found.x - found.space.mean)
     coupled = normals @ direction
-    solved = np.linalg.solve(shared, np.column_stack([coupled.T, force]))
+    solved = np.linalg.solve(common, np.column_stack([coupled.T, force]))
     own = coupled @ direction
     matrix = np.diag(own) - coupled @ solved[:, :-1]
     slope = gradients @ direction - coupled @ solved[:, -1]
@@ -66,9 +66,9 @@ def between_runs(found: Fit, direction: np.ndarray, drawn: np.ndarray | None = N
     best = minimize_scalar(lambda s: -gained(s), bounds=(np.log(TINIEST), np.log(WIDEST)), method="bounded",
                            options={"xatol": 1e-4})
     if best.fun >= 0.0:
-        return Spread(0.0, 0.0, np.linalg.inv(shared))
+        return Spread(0.0, 0.0, np.linalg.inv(common))
     size = float(np.exp(best.x))
-    loosened = shared - coupled.T @ (coupled / (own + size**-2)[:, None])
+    loosened = common - coupled.T @ (coupled / (own + size**-2)[:, None])
     return Spread(size, -float(best.fun), np.linalg.inv(loosened))
 
 
