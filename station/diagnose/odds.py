@@ -10,6 +10,7 @@ stability; it counts the resamples and the runs left out one by one alike.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -129,13 +130,10 @@ def odds(search: Selection) -> Odds:
     weights = np.exp(scores - scores.max(axis=1, keepdims=True))
     posterior = (weights / weights.sum(axis=1, keepdims=True))[-RESAMPLES:]
     chosen = [allowed[near[k]][0] for k in scores.argmax(axis=1)]
-    stability: dict[Key, float] = {}
-    laws: dict[str, float] = {}
-    for keys in chosen:
-        for key in keys:
-            stability[key] = stability.get(key, 0.0) + 1.0 / len(chosen)
-        for name in {name for name, _ in keys}:
-            laws[name] = laws.get(name, 0.0) + 1.0 / len(chosen)
+    named = Counter(key for keys in chosen for key in keys)
+    of_law = Counter(name for keys in chosen for name in {name for name, _ in keys})
+    stability = {key: count / len(chosen) for key, count in named.items()}
+    laws = {name: count / len(chosen) for name, count in of_law.items()}
     sets = [allowed[k][0] for k in near]
     found = _odds(list(zip(sets, posterior.mean(axis=0).tolist(), strict=True)), stability)
     return replace(found, laws=laws, resampled=tuple(chosen), draws=Draws(drawn[-RESAMPLES:], sets, posterior))
