@@ -28,11 +28,14 @@ class Comparison:
     rig: Rig
     runs: tuple[Run, ...]
     simulations: tuple[Simulation, ...]
+    rows: tuple[np.ndarray, ...]
+    """(n) of each those that count: that were logged, and not those from which it is told how a run begins in
+    motion."""
 
     @property
     def measures(self) -> list[dict[str, Any]]:
         """As ``compare --json`` has it: per run nrmse of each channel, and step measures, measured and simulated."""
-        return [measures(run, made) for run, made in zip(self.runs, self.simulations, strict=True)]
+        return [measures(*one) for one in zip(self.runs, self.simulations, self.rows, strict=True)]
 
     def _repr_html_(self) -> str:
         rows = []
@@ -62,7 +65,7 @@ def compare(rig: Rig, runs: Sequence[Run], progress: Callable[[float], None] = l
     for r in range(len(data.runs)):
         made.append(_nearest(data, model, r))
         progress((r + 1) / len(data.runs))
-    return Comparison(rig, data.runs, tuple(made))
+    return Comparison(rig, data.runs, tuple(made), tuple(record.window for record in data.records))
 
 
 def _nearest(data: Dataset, model: Model, r: int) -> Simulation:

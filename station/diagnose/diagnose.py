@@ -27,7 +27,6 @@ from station.errors import UsageError, WorkError
 from station.estimation.cause import Key
 from station.estimation.dataset import canonical_order, dataset
 from station.estimation.least_squares import CANNOT_SIMULATE, DIVERGED
-from station.estimation.loaded import load_compiled
 from station.estimation.observer import observers
 from station.estimation.pool import SIZE, Pool
 from station.estimation.prediction import SEARCH, Predictor, predict_run
@@ -44,17 +43,17 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     """Diagnose a rig from its runs, by so many ``threads``, each but the first with a process of its own.
 
     The same runs give the same answer, whatever their order, the number of threads or the linear algebra's: runs are
-    taken in the order of their content, and linear algebra by one thread.  UsageError for an unknown effort; WorkError
-    where the runs cannot be used (rate, columns), or not be simulated.
+    taken in the order of their content and told in that of their names, and linear algebra by one thread.  UsageError
+    for an unknown effort; WorkError where the runs cannot be used (rate, columns), or not be simulated.
     """
     begun = time.perf_counter()
     if effort not in EFFORTS:
         raise UsageError(f"--effort: {effort!r} is none of {', '.join(EFFORTS)}")
-    order = canonical_order(runs)
-    pool = Pool(threads, f"{__name__}:{load_compiled.__name__}")     # asked for here: to find it loads all of this
+    pool = Pool(threads, f"{__name__}:load_compiled")   # of this module: to find it there loads all of this
     with threadpool_limits(1):
-        found = _diagnose(rig, [runs[i] for i in order], effort, progress or (lambda text, share: None), pool)
-    _put_in_order(found, [runs[i].name for i in order], order)
+        found = _diagnose(rig, [runs[i] for i in canonical_order(runs)], effort,
+                          progress or (lambda text, share: None), pool)
+    _put_in_order(found)
     return replace(found, seconds=time.perf_counter() - begun)
 
 
@@ -90,7 +89,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     refit_rig = nothing.space.rig_at(nothing.x)
     extended = shown.space.rig_at(shown.x)
     comparisons = [RunComparison(run, before, refit, after if causes else None, seconds_ahead(data, k), part,
-                                 shown.space.zero(shown.x, data.records[k].zero_group))
+                                 data.records[k].warm, shown.space.zero(shown.x, data.records[k].zero_group))
                    for k, (run, before, refit, after, part) in enumerate(
                        zip(runs, *judged.simulations, parts, strict=True))]
     report("choosing the next experiment", 0.96)
@@ -124,15 +123,14 @@ def _drawn(rig: Rig, extended: Rig, runs: Sequence[Run], causes: Sequence[tuple[
         return evidence(rig, extended, runs, causes, pool) if runs else []
 
 
-def _put_in_order(found: DiagnosisResult, names: list[str], order: list[int]) -> None:
-    """Put all that is said run by run in the order in which the runs were given; the halves of one stay as they are."""
-    place = {name: order[k] for k, name in reversed(list(enumerate(names)))}
+def _put_in_order(found: DiagnosisResult) -> None:
+    """Put all that is said run by run in the order of the runs' names."""
     said = found.diagnosis
     rows: list[Any]
     for rows in (said.runs, said.gain.runs, said.between_runs.runs):
-        rows.sort(key=lambda row: place.get(row.run, 0))
-    said.gain.held_out.sort(key=lambda name: place.get(name, 0))
-    found.comparisons.sort(key=lambda row: place.get(row.run.name, 0))
+        rows.sort(key=lambda row: row.run)
+    said.gain.held_out.sort()
+    found.comparisons.sort(key=lambda row: row.run.name)
 
 
 def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice]]:

@@ -83,9 +83,8 @@ def _same_test(one: Run, other: Run) -> bool:
     return known and bool(np.array_equal(one.reference[:rows], other.reference[:rows]))
 
 
-def measures(run: Run, simulation: Simulation) -> dict[str, object]:
-    """One run against one simulation, as ``compare --json`` writes it; a filled run's lost rows do not count."""
-    rows = run.logged
+def measures(run: Run, simulation: Simulation, rows: np.ndarray) -> dict[str, object]:
+    """One run against one simulation, as ``compare --json`` writes it, of the ``rows`` (n) that count."""
     found: dict[str, object] = {"run": run.name,
                                 "encoder": {"nrmse": nrmse(run.encoder[rows], simulation.encoder[rows])}}
     if run.accel is not None and simulation.accel is not None:

@@ -104,7 +104,7 @@ class Odds:
             if cause in keys:
                 continue
             new = keys - best
-            for key in {key for key in new if key[0] == cause[0]} or new:
+            for key in sorted({key for key in new if key[0] == cause[0]} or new):
                 found[key] = found.get(key, 0.0) + probability
         return found
 

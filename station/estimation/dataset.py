@@ -239,7 +239,7 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
     if rig.beam is not None:    # it need not be quite uniform
         meshed = meshed.model_copy(update={"uncertainty": {**dict.fromkeys(sorted(PROFILE), RIGIDITY),
                                                            **rig.uncertainty}})
-    groups = list(dict.fromkeys(zero_ids := [r.metadata.zero_id or f"own {i}" for i, r in enumerate(runs)]))
+    groups = list(dict.fromkeys(zero_ids := [r.metadata.zero_id or content(r) for r in runs]))
     length = max(SEGMENT, sum(len(r.t) / r.sample_rate for r in runs) / SEGMENTS)
     parts = [max(round(len(r.t) / r.sample_rate / length), 1) for r in runs]
     records = tuple(

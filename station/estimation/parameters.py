@@ -279,7 +279,8 @@ def parameters(data: Dataset, hypothesis: Hypothesis, centres: Sizes, fixed: Col
     shifted = known == 0 or any(cls.absolute is not None for cls, _ in hypothesis.effects)
     zeros = 1 + max(data.zero_groups) - known if shifted else 0
     held = _held(rig)
-    places = len(data.runs) if any(cls.stage is Stage.GAP for cls, _ in hypothesis.effects) else 0
+    stages = [*(effect.stage for effect in rig.effects), *(cls.stage for cls, _ in hypothesis.effects)]
+    places = len(data.runs) if Stage.GAP in stages else 0
     mean += [0.0] * (zeros + len(held) + places)
     precision += [PLACE**-2] * zeros + [1.0] * (len(held) + places)
     return Parameters(rig, hypothesis, paths, np.linalg.cholesky(covariance), tuple(coordinates), known, zeros, held,

@@ -163,11 +163,11 @@ def test_a_perfect_simulation_reaches_the_floor():
 def test_comparison_holds_both_channels_and_both_steps():
     accel = np.array([0, 0, 4, 2, -3, -2, 1, 0, 0, 0], dtype=float)
     run = made(STEP, ANSWER, accel=accel)
-    found = measures(run, Simulation(run.t, run.reference, run.command, STEP, accel / 2.0))
+    found = measures(run, Simulation(run.t, run.reference, run.command, STEP, accel / 2.0), run.logged)
     assert found["run"] == "run"
     assert found["encoder"] == {"nrmse": pytest.approx(nrmse(ANSWER, STEP))}
     assert found["accel"] == {"nrmse": pytest.approx(nrmse(accel, accel / 2.0))}
     assert found["measured"]["overshoot_percent"] == pytest.approx(20.0)
     assert found["simulated"] == {"overshoot_percent": 0.0, "settling_time": 0.0}
     alone = made(STEP, ANSWER)
-    assert "accel" not in measures(alone, Simulation(run.t, run.reference, run.command, STEP, None))
+    assert "accel" not in measures(alone, Simulation(run.t, run.reference, run.command, STEP, None), alone.logged)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
+
+from station.diagnose.compare import compare
 from station.diagnose.diagnose import diagnose
+from station.diagnose.thresholds import SHOWN_SHARE
 from station.model.effects import effect_class
 from tests.estimation.made import AXIS, run_of
 
@@ -14,3 +18,13 @@ def test_friction_is_named_from_runs_none_of_which_begins_at_rest() -> None:
     found = diagnose(AXIS, runs, effort="quick")
     assert [(c.effect, c.at) for c in found.diagnosis.causes] == [("coulomb_friction", "motor")]
     assert found.evidence == []
+
+    # Over the rows from which it is told how a run begins simulations were corrected: no error counts them.
+    again = compare(AXIS, runs).measures
+    for row, gain, compared in zip(found.comparisons, found.diagnosis.gain.runs, again, strict=True):
+        before, _, after = row.errors("encoder")
+        assert gain.encoder is not None and row.warm > 0 and not row.rows[: row.warm].any()
+        assert (before, after) == pytest.approx((gain.encoder.nrmse_before, gain.encoder.nrmse_after))
+        shown = [w.simulated for w in found.diagnosis.wrong if (w.run, w.measure) == (gain.run, "nrmse")]
+        assert shown == ([pytest.approx(before)] if before > SHOWN_SHARE else [])
+        assert compared["encoder"]["nrmse"] == pytest.approx(before, rel=0.5) and after < 0.1 * before

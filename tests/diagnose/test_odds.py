@@ -84,6 +84,12 @@ def test_what_stands_in_a_causes_place_is_summed_over_the_sets_that_lack_it() ->
     assert found.replacements(frozenset({FRICTION}), FRICTION) == {DEAD_ZONE: pytest.approx(0.25)}
 
 
+def test_what_is_as_likely_comes_in_one_order_whatever_python_hashes() -> None:
+    others = [(f"effect_{k}", "motor") for k in range(9)]
+    found = normalised({frozenset({FRICTION}): 0.0, frozenset(others): 0.0}, {})
+    assert list(found.replacements(frozenset({FRICTION}), FRICTION)) == others
+
+
 def test_where_more_than_noise_is_left_something_outside_the_catalogue_keeps_what_was_believed_of_it() -> None:
     inside = normalised({frozenset(): 0.0, frozenset({FRICTION}): math.log(2.0), frozenset({DEAD_ZONE}): 0.0},
                         {FRICTION: 0.9})

@@ -54,6 +54,7 @@ def test_runs_share_a_zero_only_where_they_say_so() -> None:
     runs = runs_of(AXIS)
     apart = [replace(run, metadata=run.metadata.model_copy(update={"zero_id": None})) for run in runs]
     assert dataset(AXIS, runs).zero_groups == (0, 0, 0) and dataset(AXIS, apart).zero_groups == (0, 1, 2)
+    assert dataset(AXIS, [*apart, apart[1]]).zero_groups == (0, 1, 2, 1), "a log given twice has one zero"
 
 
 def test_a_run_begins_in_motion_where_its_first_rows_do_what_a_rig_at_rest_cannot() -> None:

@@ -11,8 +11,10 @@ import pytest
 from station.estimation.dataset import dataset
 from station.estimation.parameters import FARTHEST, WIDE, Hypothesis, parameters
 from station.model.effects import effect_class
+from station.rig import Rig
 from station.runs.run import Run
-from tests.estimation.made import AXIS, runs_of
+from tests.estimation.made import AXIS, run_of, runs_of
+from tests.truth import TWO_MASS
 
 DATA = dataset(AXIS, runs_of(AXIS))
 FRICTION, DELAY, ROUND = (effect_class(n) for n in ("coulomb_friction", "input_delay", "encoder_eccentricity"))
@@ -117,6 +119,19 @@ def test_a_zero_is_unknown_unless_absolute_angles_are_counted_from_it(stated, su
     x = space.mean.copy()
     x[space.parts["zeros"]] = 1.0 + np.arange(space.zeros)
     assert [space.zero(x, group) for group in data.zero_groups] == wanted
+
+
+@pytest.mark.parametrize("stated", [False, True])
+def test_in_a_gap_of_the_rig_file_as_in_one_that_is_supposed_the_motors_place_is_unknown(stated) -> None:
+    gap = effect_class("backlash")
+    flexible = Rig.model_validate(TWO_MASS)
+    rig = flexible.with_effects([gap(at="drive", gap=0.02)] if stated else [])
+    runs = [run_of(rig, size, "open", f"pulses {size:g}", 1.0) for size in (40.0, 60.0)]
+    space = parameters(dataset(rig, runs), Hypothesis(() if stated else ((gap, "drive"),)),
+                       {("backlash", "drive"): {"gap": 0.02}})
+    x = space.mean.copy()
+    x[space.parts["places"]] = 0.5, -0.5
+    assert [space.place(x, run) for run in range(2)] == pytest.approx([math.tanh(0.5), -math.tanh(0.5)])
 
 
 def test_a_run_that_is_left_out_keeps_a_zero_that_no_other_has() -> None:
