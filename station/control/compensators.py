@@ -45,6 +45,8 @@ _FIELDS = {
     "unknown": (),
 }
 _OPTIONAL = {"rounding", "accel_zero"}
+_SHOWN = 6
+"""Keys that a message names."""
 _LISTS = {"numerator", "denominator", "accel_numerator", "accel_denominator"}
 
 
@@ -82,14 +84,28 @@ def tustin_pid(gain: float, integral: float, derivative: float, filter: float,
     return gain * sampled, denominator
 
 
+def _check_keys(kind: str, spec: dict[str, Any]) -> None:
+    """UsageError where a controller has keys that its kind does not know, or lacks some: a misspelt key is both."""
+    wanted = _FIELDS[kind]
+    unknown = sorted(str(key) for key in spec.keys() - {"kind", *wanted, *_OPTIONAL})
+    missing = [key for key in wanted if key not in spec]
+    told = [f"{', '.join(f'controller.{key}' for key in keys[:_SHOWN])}: {what}"
+            for keys, what in ((unknown, f"unknown key for kind {kind!r}"),
+                               (missing, f"missing (kind {kind!r} wants {', '.join(wanted)})")) if keys]
+    if told:
+        raise UsageError("; ".join(told))
+
+
 def _numbers(spec: dict[str, Any], key: str) -> np.ndarray:
     try:
-        values = np.atleast_1d(np.asarray(spec[key], dtype=float))
-    except (TypeError, ValueError):
-        raise UsageError(f"controller.{key}: a number or a list of numbers is wanted, not {spec[key]!r}") from None
+        values = np.atleast_1d(np.asarray(spec[key]))
+    except ValueError:  # lists of unequal length
+        values = np.zeros(0, dtype=object)
+    if values.dtype.kind not in "iuf":
+        raise UsageError(f"controller.{key}: a number or a list of numbers is wanted, not {spec[key]!r}"[:200])
     if values.ndim != 1 or not 1 <= values.size <= 16 or not np.all(np.isfinite(values)):
         raise UsageError(f"controller.{key}: 1 to 16 finite numbers are wanted")
-    return values
+    return values.astype(float)
 
 
 def _monic(values: dict[str, np.ndarray], top: str, bottom: str) -> tuple[np.ndarray, np.ndarray]:
@@ -127,19 +143,17 @@ class Compensator:
         kind = spec.get("kind")
         if kind not in _FIELDS:
             raise UsageError(f"controller.kind: {kind!r} is none of {', '.join(_FIELDS)}")
-        for key in _FIELDS[kind]:
-            if key not in spec:
-                raise UsageError(f"controller.{key}: missing (kind {kind!r} wants {', '.join(_FIELDS[kind])})")
-        for key in spec.keys() - {"kind", *_FIELDS[kind], *_OPTIONAL}:
-            raise UsageError(f"controller.{key}: unknown key for kind {kind!r}")
+        _check_keys(kind, spec)
+        values = {key: _numbers(spec, key) for key in (*_FIELDS[kind], *spec.keys() & {"accel_zero"})}
+        for key in values.keys() - _LISTS:
+            if values[key].size != 1:
+                raise UsageError(f"controller.{key}: one number is wanted")
+        if spec.get("rounding", True) not in (True, False):
+            raise UsageError(f"controller.rounding: true or false is wanted, not {spec['rounding']!r}"[:200])
         if kind == "open":
             return cls(dict(spec), limit, np.ones(1), np.ones(1), open_loop=True)
         if kind == "unknown":
             raise UsageError("controller.kind: unknown, so that no command can be worked out; name the controller")
-        values = {key: _numbers(spec, key) for key in _FIELDS[kind]}
-        for key in values.keys() - _LISTS:
-            if values[key].size != 1:
-                raise UsageError(f"controller.{key}: one number is wanted")
         if kind == "filter":
             return cls(dict(spec), limit, *_monic(values, "numerator", "denominator"))
         if kind == "cascade":

@@ -266,3 +266,13 @@ def test_a_reader_that_goes_away_is_no_error():
     finally:
         os.close(writer)
     assert done.stderr == ""
+
+
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ("derivative", "derivativ", "controller.derivativ: unknown key for kind 'pid'; controller.derivative: missing"),
+    ("1.5", '"1.5"', "controller.gain: a number or a list of numbers is wanted, not '1.5'")])
+def test_a_controller_file_names_itself_and_the_key(station, tmp_path, old, new, words):
+    file, out = tmp_path / "mine.toml", tmp_path / "out.mcap"
+    file.write_text('kind = "pid"\ngain = 1.5\nintegral = 0.8\nderivative = 0.05\nfilter = 0.02\n'.replace(old, new))
+    ended = station("run", "step", "--port", "sim://sflr?speed=0", "--rig", "sflr", "--controller", file, "--out", out)
+    assert ended.status == 2 and f"mine.toml: {words}" in ended.one_line() and not out.exists()

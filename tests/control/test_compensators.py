@@ -116,11 +116,17 @@ def test_every_closed_loop_is_that_of_the_independent_generator(kind):
 
 
 @pytest.mark.parametrize(("spec", "words"), [
-    ({"kind": "pid", "gain": 1.0}, "controller.integral: missing"),
+    ({"kind": "pid", "gain": 1.0}, "controller.integral, controller.derivative, controller.filter: missing"),
     (PID | {"filter": 0.0}, "controller.filter: a time constant above 0"),
     (PID | {"derivative": 0.0, "filter": -0.1}, "controller.filter: a time constant above 0"),
     (PID | {"gain": [1.0, 2.0]}, "controller.gain: one number"),
     (PID | {"windup": 1.0}, "controller.windup: unknown key"),
+    ({"kind": "p", "gian": 1.0}, "controller.gian: unknown key for kind 'p'; controller.gain: missing .kind"),
+    ({"kind": "p", "gain": "2.0"}, "controller.gain: a number or a list of numbers is wanted, not '2.0'"),
+    ({"kind": "p", "gain": True}, "controller.gain: a number or a list of numbers is wanted, not True"),
+    ({"kind": "p", "gain": [[1.0], [1.0, 2.0]]}, "controller.gain: a number or a list"),
+    ({"kind": "p", "gain": 2.0, "accel_zero": "much"}, "controller.accel_zero: a number"),
+    ({"kind": "p", "gain": 2.0, "rounding": "no"}, "controller.rounding: true or false is wanted, not 'no'"),
     ({"kind": "cascade", "position_gain": 1.0}, "controller.speed_gain: missing"),
     ({"kind": "filter", "numerator": [1.0, 2.0], "denominator": [1.0]}, "controller.denominator: must begin"),
     ({"kind": "filter", "numerator": [1.0], "denominator": [0.0, 1.0]}, "controller.denominator: must begin"),
