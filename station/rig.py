@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_serializer, field_validator, model_validator
+from pydantic_core import ErrorDetails
 
 from station import markup
 from station.errors import UsageError
@@ -26,6 +27,8 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 MAX_FILE_BYTES = 1 << 20
+MAX_PROBLEMS = 6
+"""Keys that one message names."""
 PROFILE = frozenset(f"beam.rigidity_{k}" for k in (1, 2, 3))
 """Constants that are exact unless the file states an uncertainty."""
 EXACT = frozenset({"amplifier.limit", "encoder.counts_per_revolution", "beam.elements", "beam.mesh"})
@@ -39,7 +42,7 @@ sixteen times two hundred."""
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
 
 class Amplifier(_Table):
@@ -154,7 +157,7 @@ class Rig(_Table):
     limits: Limits | None = None
     uncertainty: dict[str, NotNegative] = Field(default_factory=dict)
     """One sigma of the natural logarithm; of an effect's angle or phase, rad."""
-    effects: Annotated[tuple[Effect, ...], Field(max_length=32)] = ()
+    effects: Annotated[tuple[Effect, ...], Field(max_length=32)] = ()    # a list is made one by _build_effects
 
     @field_validator("effects", mode="before")
     @classmethod
@@ -168,6 +171,8 @@ class Rig(_Table):
                 continue
             if not isinstance(row, dict) or "effect" not in row:
                 raise ValueError(f"[{index}]: the key 'effect' is missing")
+            if not isinstance(row["effect"], str):
+                raise ValueError(f"[{index}].effect: the name of an effect is wanted, not {row['effect']!r}"[:200])
             try:
                 effect = effect_class(row["effect"])
                 values = {key: value for key, value in row.items() if key != "effect"}
@@ -175,7 +180,7 @@ class Rig(_Table):
                     values["at"] = effect.sites[0]
                 built.append(effect.model_validate(values))
             except ValidationError as error:
-                raise ValueError(f"[{index}].{_first(error)}") from None
+                raise ValueError(problems(error, f"[{index}].")) from None
             except UsageError as error:
                 raise ValueError(f"[{index}]: {error}") from None
         return tuple(built)
@@ -329,11 +334,11 @@ class Rig(_Table):
     def from_toml(cls, text: str, source: str = "rig") -> Rig:
         """Read a rig from TOML; UsageError names the file, the key's path and the reason."""
         try:
-            return cls.model_validate(tomllib.loads(text), strict=False)
+            return cls.model_validate(tomllib.loads(text))
         except tomllib.TOMLDecodeError as error:
             raise UsageError(f"{source}: not TOML: {error}") from None
         except ValidationError as error:
-            raise UsageError(f"{source}: {_first(error)}") from None
+            raise UsageError(f"{source}: {problems(error)}") from None
 
     def to_toml(self) -> str:
         """The rig file's text; reading it gives the same rig, and [[effects]] may be added at its end."""
@@ -341,17 +346,26 @@ class Rig(_Table):
         return tomli_w.dumps({key: value for key, value in tables.items() if key != "effects" or value})
 
 
-def _first(error: ValidationError) -> str:
-    problem = min(error.errors(), key=lambda found: found["type"] != "extra_forbidden")  # the misspelt key itself
-    path = ".".join(str(part) for part in problem["loc"])
-    reason = {"extra_forbidden": "unknown key", "missing": "missing"}.get(problem["type"])
-    if reason is None:
-        reason = str(problem["msg"]).removeprefix("Value error, ")
-        reason = reason[0].lower() + reason[1:]
-        if problem["type"] in ("greater_than", "greater_than_equal", "less_than_equal", "finite_number"):
-            reason += f", not {problem['input']!r}"
-    more = f" (and {error.error_count() - 1} more)" if error.error_count() > 1 else ""
-    return f"{path}: {reason}{more}" if path else f"{reason}{more}"
+def problems(error: ValidationError, table: str = "") -> str:
+    """What a file's keys have wrong, in one line; ``table`` stands before each key."""
+    found: dict[str, list[str]] = {}
+    first = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")  # the misspelt key itself
+    for problem in first[:MAX_PROBLEMS]:
+        found.setdefault(_reason(problem), []).append(table + ".".join(str(part) for part in problem["loc"]))
+    told = "; ".join(f"{', '.join(keys)}: {reason}" if any(keys) else reason for reason, keys in found.items())
+    return told + (f" (and {len(first) - MAX_PROBLEMS} more)" if len(first) > MAX_PROBLEMS else "")
+
+
+def _reason(problem: ErrorDetails) -> str:
+    known = {"extra_forbidden": "unknown key", "missing": "missing"}.get(problem["type"])
+    if known is not None:
+        return known
+    reason, value = str(problem["msg"]).removeprefix("Value error, "), problem["input"]
+    reason = reason[:1].lower() + reason[1:]
+    if problem["type"] == "value_error" or not isinstance(value, str | int | float):
+        return reason
+    quotes = " without quotes" if isinstance(value, str) and problem["type"] in ("float_type", "int_type") else ""
+    return f"{reason}{quotes}, not {repr(value)[:60]}"
 
 
 def builtin_rigs() -> dict[str, str]:

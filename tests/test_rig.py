@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
 from station.errors import UsageError
-from station.rig import Rig, load_rig
+from station.rig import Rig, builtin_rigs, load_rig
 from tests.truth import RIGID_AXIS, TWO_MASS
 
 RIGS = {"sflr": load_rig("sflr"), "axis": Rig.model_validate(RIGID_AXIS), "two-mass": Rig.model_validate(TWO_MASS)}
@@ -53,3 +55,37 @@ def test_a_fit_that_strays_to_absurd_beams_does_not_refine_its_mesh_without_end(
 def test_a_limit_that_is_none_is_refused_with_the_keys_path(line, words):
     with pytest.raises(UsageError, match=f"mine.toml: {words}"):
         Rig.from_toml(RIGS["sflr"].to_toml() + f"\n[limits]\n{line}\n", "mine.toml")
+
+
+EFFECT = '[[effects]]\neffect = "coulomb_friction"\nat = "motor"\ntorque = {}\n'
+
+
+@pytest.mark.parametrize(("old", "new", "words"), [
+    ("limit = 200.0", 'limit = "200"', "amplifier.limit: .*number without quotes, not '200'"),
+    ("damping = 0.158669", "damping = true", "motor.damping: .*number, not True"),
+    ("elements = 4", "elements = 4.5", "beam.elements: .*integer, not 4.5"),
+    ("[uncertainty]", EFFECT.format('"0.49"') + "[uncertainty]", r"effects: \[0\].torque: .* quotes, not '0.49'"),
+    ("[uncertainty]", EFFECT.format("true") + "[uncertainty]", r"effects: \[0\].torque: .*number, not True"),
+    ("[uncertainty]", '[[effects]]\neffect = ["x"]\n[uncertainty]', r"effects: \[0\].effect: the name of an effect"),
+])
+def test_a_value_of_a_wrong_type_is_refused_not_read_as_a_number(old, new, words):
+    with pytest.raises(UsageError, match=f"mine.toml: {words}"):
+        Rig.from_toml(builtin_rigs()["sflr"].replace(old, new, 1), "mine.toml")
+
+
+def test_whole_numbers_and_what_json_says_of_a_rig_are_taken():
+    text = builtin_rigs()["sflr"].replace("limit = 200.0", "limit = 200") + "\n" + EFFECT.format(1)
+    rig = Rig.from_toml(text)
+    assert (rig.amplifier.limit, rig.effects[0].torque) == (200.0, 1.0)
+    said = rig.model_dump_json()
+    assert Rig.model_validate_json(said) == Rig.model_validate(json.loads(said)) == rig
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ("", "name, sample_rate, amplifier, motor, encoder: missing$"),
+    (builtin_rigs()["sflr"].replace("stiffness = 0.102728", "stifness = 0.102728"),
+     "drive.stifness: unknown key; drive.stiffness: missing$"),
+    ("a = 1\nb = 1\nc = 1\n", "a, b, c: unknown key; name, sample_rate, amplifier: missing .and 2 more.$")])
+def test_all_keys_that_are_wrong_are_named_as_far_as_a_line_goes(text, words):
+    with pytest.raises(UsageError, match=f"mine.toml: {words}"):
+        Rig.from_toml(text, "mine.toml")

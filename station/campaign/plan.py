@@ -22,7 +22,7 @@ from station.campaign.outcome import Outcome, Task
 from station.campaign.summary import title
 from station.errors import UsageError, WorkError
 from station.estimation.cause import Key, constant
-from station.rig import Rig, builtin_rigs, load_rig
+from station.rig import Rig, builtin_rigs, load_rig, problems
 from station.runs.store import file_hash
 
 MAX_FILE_BYTES = 1 << 20
@@ -37,7 +37,7 @@ Text = Annotated[str, Field(min_length=1, max_length=4096)]
 
 
 class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 class Blind(_Table):
@@ -130,19 +130,7 @@ def _read(path: Path) -> Plan:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise UsageError(f"{path}: not TOML: {error}") from None
     except ValidationError as error:
-        raise UsageError(f"{path}: {_problem(error)}") from None
-
-
-def _problem(error: ValidationError) -> str:
-    first = error.errors(include_url=False)[0]
-    key = ".".join(str(part) for part in first["loc"])
-    reason = {"extra_forbidden": "unknown key", "missing": "missing"}.get(first["type"])
-    if reason is None:
-        reason = str(first["msg"]).removeprefix("Value error, ")
-        reason = reason[:1].lower() + reason[1:]
-        if first["type"] not in ("value_error", "missing"):
-            reason += f", not {first['input']!r}"[:200]
-    return f"{key}: {reason}" if key else reason
+        raise UsageError(f"{path}: {problems(error)}") from None
 
 
 def _rig(path: Path, key: str, name: str) -> Rig:

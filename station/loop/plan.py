@@ -43,7 +43,7 @@ from station.control.references import LEAST_REST, reference_from_test
 from station.device.line import MOST_ANSWER_TICKS
 from station.errors import UsageError, WorkError
 from station.loop.safety import require_rest, require_within_limits
-from station.rig import Limits, Rig
+from station.rig import Limits, Rig, problems
 from station.runs import load_run
 from station.runs.run import Run
 
@@ -57,18 +57,22 @@ ControllerOf = Callable[[str, Path], dict[str, Any]]
 """controller_of(name or path, folder): the controller's dictionary; UsageError where there is none."""
 
 
+Tags = Annotated[tuple[str, ...], Field(strict=False)]
+"""A file's list is taken; what stands in it must be text."""
+
+
 class _Test(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="allow")
+    model_config = ConfigDict(frozen=True, extra="allow", strict=True)
 
     kind: str
     name: Annotated[str, Field(min_length=1, max_length=60)] | None = None
     controller: str | dict[str, Any] | None = None
     repeats: Annotated[int, Field(ge=1, le=MAX_TRIALS)] | None = None
-    tags: tuple[str, ...] = ()
+    tags: Tags = ()
 
 
 class _Plan(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     name: Annotated[str, Field(min_length=1, max_length=100)] = "plan"
     controller: str | dict[str, Any] | None = None
@@ -78,9 +82,9 @@ class _Plan(BaseModel):
     settle: Annotated[float, Field(ge=0.0, le=3600.0, allow_inf_nan=False)] = 0.0
     answer_ticks: Annotated[int, Field(ge=1, le=MOST_ANSWER_TICKS)] = 1
     rest_within: Annotated[float, Field(gt=0.0, allow_inf_nan=False)] | None = None
-    tags: tuple[str, ...] = ()
+    tags: Tags = ()
     limits: Limits | None = None
-    test: Annotated[tuple[_Test, ...], Field(min_length=1, max_length=200)]
+    test: Annotated[tuple[_Test, ...], Field(min_length=1, max_length=200, strict=False)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,10 +181,7 @@ def load_plan(path: str | Path, rig: Rig, controller_of: ControllerOf) -> Plan:
     except tomllib.TOMLDecodeError as error:
         raise UsageError(f"{path}: not TOML: {error}") from None
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        key = ".".join(str(part) for part in first["loc"])
-        reason = "unknown key" if first["type"] == "extra_forbidden" else first["msg"].removeprefix("Value error, ")
-        raise UsageError(f"{path}: {key}: {reason}") from None
+        raise UsageError(f"{path}: {problems(error)}") from None
     limited = rig if parsed.limits is None else rig.model_copy(update={"limits": tightened(rig, parsed.limits)})
     trials: list[Trial] = []
     names: set[str] = set()

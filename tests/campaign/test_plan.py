@@ -76,6 +76,8 @@ WRONG = {
     "colour = 1\n" + BLIND: "colour: unknown key",
     BLIND.replace("cases = 40", "cases = 0"): "blind.cases",
     BLIND.replace("cases = 40", 'cases = "many"'): "blind.cases",
+    BLIND.replace("cases = 40", 'cases = "40"'): "blind.cases: .*integer without quotes, not '40'",
+    BLIND.replace("clean = 0.25", "clean = true"): "blind.clean: .*number, not True",
     BLIND.replace("cases = 40\n", ""): "blind.cases: missing",
     BLIND + "seed = 3\n": "blind.seed: unknown key",
     BLIND.replace("0.25", "0.75"): "blind: clean and pairs",

@@ -115,7 +115,7 @@ def parameter(unit: str, low: float = -math.inf, high: float = math.inf, *, neut
 class Effect(BaseModel):
     """Base of all effects; a subclass with a ``name`` joins the catalogue by being imported."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     name: ClassVar[str] = ""
     """What files call it; small letters, digits and underscores, used by no other effect."""
