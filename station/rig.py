@@ -33,6 +33,8 @@ PROFILE = frozenset(f"beam.rigidity_{k}" for k in (1, 2, 3))
 """Constants that are exact unless the file states an uncertainty."""
 EXACT = frozenset({"amplifier.limit", "encoder.counts_per_revolution", "beam.elements", "beam.mesh"})
 """Keys of a rig that carry no uncertainty."""
+MAX_SIGMA = math.pi
+"""Largest uncertainty: a constant may be 23 times what the file says or a 23rd of it, an angle anywhere."""
 MAX_ELEMENTS = 200
 MESH_ACCURACY = 0.0025
 """Relative error of a bending wave's frequency on a refined mesh, at a quarter of the sample rate."""
@@ -205,9 +207,12 @@ class Rig(_Table):
                 raise ValueError(f"effects: {effect.name} stands twice at {effect.at}")
             places.add((effect.name, effect.at))
         known = self._uncertain_names()
-        for key in self.uncertainty:
+        for key, sigma in self.uncertainty.items():
             if key not in known:
                 raise ValueError(f"uncertainty.{key}: names no constant, table or effect parameter of this rig")
+            if sigma > MAX_SIGMA:
+                raise ValueError(f"uncertainty.{key}: one sigma of the natural logarithm (of an angle: rad) is wanted, "
+                                 f"at most {MAX_SIGMA:.3g}, not {sigma:g}; 0.2 is 20 %")
         return self
 
     def _uncertain_names(self) -> set[str]:

@@ -276,3 +276,11 @@ def test_a_controller_file_names_itself_and_the_key(station, tmp_path, old, new,
     file.write_text('kind = "pid"\ngain = 1.5\nintegral = 0.8\nderivative = 0.05\nfilter = 0.02\n'.replace(old, new))
     ended = station("run", "step", "--port", "sim://sflr?speed=0", "--rig", "sflr", "--controller", file, "--out", out)
     assert ended.status == 2 and f"mine.toml: {words}" in ended.one_line() and not out.exists()
+
+
+def test_an_uncertainty_in_percent_is_refused(station, step, tmp_path):
+    rig = tmp_path / "mine.toml"
+    rig.write_text(SFLR.replace("default = 0.1", "default = 20"))
+    ended = station("compare", "--rig", rig, step)
+    assert ended.status == 2 and "mine.toml: uncertainty.default: one sigma" in ended.one_line()
+    assert "not 20; 0.2 is 20 %" in ended.one_line()
