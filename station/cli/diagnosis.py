@@ -40,7 +40,7 @@ def diagnose(
 
     need_outputs(json, report, save_rig, overwrite=overwrite, inputs=[rig, *runs])
     nominal = load_rig(rig)
-    loaded = load_runs(runs)
+    loaded = load_runs(runs, nominal)
     files = {run.name: path for run, path in zip(loaded, runs, strict=True)}
     with progress("diagnosing") as update:
         result = find(nominal, loaded, effort=effort, progress=lambda text, share: update(share, text))

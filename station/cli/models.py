@@ -59,7 +59,7 @@ def compare(runs: RunFiles, rig: RigName, json: Json = None, overwrite: Overwrit
 
     need_outputs(json, overwrite=overwrite, inputs=[rig, *runs])
     model = load_rig(rig)
-    measured = load_runs(runs)
+    measured = load_runs(runs, model)
     tell_unknown(runs, measured)
     with progress("simulating the tests") as update:
         found = against(model, measured, update).measures
@@ -101,7 +101,8 @@ def fit(
     from station.rig import load_rig
 
     need_outputs(save_rig, json, overwrite=overwrite, inputs=[rig, *runs])
-    model, loaded = load_rig(rig), load_runs(runs)
+    model = load_rig(rig)
+    loaded = load_runs(runs, model)
     with progress("fitting") as update:
         found = fit_rig(model, loaded, hold, domain=domain, starts=starts,
                         progress=lambda text, share: update(share, text))

@@ -40,13 +40,18 @@ def command(app: typer.Typer, name: str, panel: str, example: str) -> Callable[[
     return app.command(name, rich_help_panel=panel, epilog=f"Example: {example}", no_args_is_help=False)
 
 
-def load_runs(paths: list[Path]) -> list[Run]:
-    """Read run files, and say what they lack; runs of one name in two folders get names that tell them apart."""
+def load_runs(paths: list[Path], rig: Rig | None = None) -> list[Run]:
+    """Read run files, and say what they lack; runs of one name in two folders get names that tell them apart.
+
+    WorkError where one's rate is not that of a ``rig`` on which they are to be simulated.
+    """
     from station.runs.names import load_runs as load
 
     runs = load(paths)
     for path, run in zip(paths, runs, strict=True):
         tell_lacks(path, run)
+        if rig is not None and (fault := run.rate_fault(rig.sample_rate)):
+            raise WorkError(f"{path}: {fault}")
     return runs
 
 

@@ -19,7 +19,7 @@ from station.model.simulate import build, simulate_model
 from station.rig import PROFILE, Rig
 from station.runs.columns import place
 from station.runs.rollover import rollover, rollover_fault
-from station.runs.run import RATES, Run, RunMetadata
+from station.runs.run import Run, RunMetadata
 from station.runs.ticks import CLOCKS
 
 SEGMENT = 1.0
@@ -232,8 +232,8 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
     for run in runs:
         if has_accel and run.accel is None:
             raise WorkError(f"{run.name}: no accelerometer column, but other runs have one; leave out one or the other")
-        if abs(run.sample_rate / rig.sample_rate - 1.0) > RATES:
-            raise WorkError(f"{run.name}: sampled at {run.sample_rate:.6g} Hz, the rig at {rig.sample_rate:.6g} Hz")
+        if fault := run.rate_fault(rig.sample_rate):
+            raise WorkError(f"{run.name}: {fault}")
     noise = noise_of(tests)
     meshed = rig.meshed()
     if rig.beam is not None:    # it need not be quite uniform

@@ -174,6 +174,20 @@ class Run:
         rows = len(self.t) - 1 if self.n is None else int(self.n[-1] - self.n[0])
         return float(f"{rows / (self.t[-1] - self.t[0]):.9g}")
 
+    def rate_fault(self, rate: float) -> str | None:
+        """Say where the log has neither a row for each tick of a rig's ``rate`` (Hz) nor for every other one, or None.
+
+        What to do is in it; times a thousand or a million times too long are in other units.
+        """
+        if min(abs(rows * self.sample_rate / rate - 1.0) for rows in (1.0, 2.0)) <= RATES:
+            return None
+        remedy = (f"a log wants a row for each tick of the loop, or for every other one ({rate:.6g} or "
+                  f"{0.5 * rate:.6g} Hz); log so, or give the rig file the sample_rate at which the loop ran")
+        for unit, factor in (("ms", 1e3), ("us", 1e6)):
+            if any(abs(rows * factor * self.sample_rate / rate - 1.0) <= RATES for rows in (1.0, 2.0)):
+                remedy = f"t looks like {unit} and must be in s; divide it by {factor:.0f}"
+        return f"sampled at {self.sample_rate:.6g} Hz, the rig at {rate:.6g} Hz: {remedy}"
+
     @property
     def command_row(self) -> int:
         """0, or -k where row i's command was computed from the encoder and accelerometer of row i - k."""

@@ -117,9 +117,13 @@ def import_run(source: str | os.PathLike[str], out: str | os.PathLike[str], *, o
                **known: Any) -> Run:
     """Read a run and write it anew (``.mcap`` as a rule); ``known`` sets metadata the source does not hold.
 
-    WorkError as ``load_run``, and where the encoder reads what no encoder counts to, or rolls over.
+    WorkError as ``load_run``, and where the encoder reads what no encoder counts to, or rolls over, or the rate is not
+    that of a rig whose tables are given.
     """
     run = load_run(source)
+    rig = known.get("rig")
+    if isinstance(rig, dict) and (fault := run.rate_fault(rig["sample_rate"])):
+        raise WorkError(f"{source}: {fault}")
     far = np.abs(run.encoder) > MOST_COUNTS
     if far.any():
         row = int(np.argmax(far))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -86,7 +87,20 @@ def test_compare_refuses_a_run_of_another_rate(station, step, tmp_path):
     slow = tmp_path / "slow.toml"
     slow.write_text(builtin_rigs()["sflr"].replace("sample_rate = 500.0", "sample_rate = 250.0"))
     ended = station("compare", "--rig", slow, step)
-    assert ended.status == 1 and "step: sampled at 500 Hz, the rig at 250 Hz" in ended.one_line()
+    assert ended.status == 1 and f"{step}: sampled at 500 Hz, the rig at 250 Hz: a log wants a row" in ended.one_line()
+
+
+@pytest.mark.parametrize(("factor", "remedy"), [
+    (1000.0, "t looks like ms and must be in s; divide it by 1000"),
+    (2e6, "t looks like us and must be in s; divide it by 1000000"),
+    (4.0, "a log wants a row for each tick of the loop, or for every other one (500 or 250 Hz); log so, or give")])
+def test_a_log_whose_time_is_not_the_rigs_says_what_to_do_before_it_is_imported(station, tmp_path, factor, remedy):
+    log, out, run = tmp_path / "odd.csv", tmp_path / "odd.mcap", step_run(rows=400)
+    export_run(replace(run, t=factor * run.t), log)
+    for command in (["compare", "--rig", "sflr", log], ["import", log, "--rig", "sflr", "--out", out]):
+        ended = station(*command)
+        assert ended.status == 1 and f"{log}: sampled at " in ended.one_line() and remedy in ended.one_line()
+    assert not out.exists()
 
 
 def test_compare_shows_a_wrong_rig(station, step, tmp_path):

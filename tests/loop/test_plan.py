@@ -84,7 +84,7 @@ def test_repeats_of_one_test_are_found_by_their_metadata(read):
     (("amplitude = 50", "amplitud = 50"), r"plan.toml: test 1: test.amplitud: unknown key"),
     (('"sweep"', '"swep"'), r"plan.toml: test 3: test.kind: 'swep'"),
     (('"lead"', '"magic"'), r"plan.toml: test 1: controller magic"),
-    (("gain = 1.0", "gian = 1.0"), r"plan.toml: controller.gian: unknown key for kind 'p'; controller.gain: missing"),
+    (("gain = 1.0", "gian = 1.0"), r"test 3: controller.gian: unknown key for kind 'p'; controller.gain: missing"),
     (("repeats = 3", 'repeats = "3"'), r"plan.toml: repeats: .*integer without quotes, not '3'"),
     (("seed = 5", "seed = 5\nsettle = true"), r"plan.toml: settle: .*number, not True"),
     (("seed = 5", 'seed = 5\ntags = ["a", 1]'), r"plan.toml: tags.1: .*string, not 1"),
