@@ -391,7 +391,7 @@ def load_rig(name_or_path: str | Path) -> Rig:
             raise UsageError(f"{path}: larger than 1 MiB, which no rig file is")
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError:
-        raise UsageError(f"{path}: not a text file") from None
+        raise UsageError(f"{path}: not UTF-8 text; save it as UTF-8") from None
     except OSError as error:
         raise UsageError(f"{path}: {error.strerror or error}; built-in rigs are {', '.join(builtin)}") from None
     return Rig.from_toml(text, source=str(path))

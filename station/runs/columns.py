@@ -113,6 +113,8 @@ def as_arrays(columns: Mapping[str, object], first_line: int | None = None,
     for name, values in columns.items():
         try:
             array = np.asarray(values)
+            if np.iscomplexobj(array):
+                return {}, f"column {name}: complex numbers where real ones are wanted; save real({name}) in its place"
             if BY_NAME.get(name, COLUMNS[0]).integer and array.dtype.kind in "iu":
                 array = array.astype(np.int64)
             else:
@@ -132,7 +134,8 @@ def as_arrays(columns: Mapping[str, object], first_line: int | None = None,
         bad = np.isinf(array) if column is not None and column.gaps else ~np.isfinite(array)
         if bad.any():
             row = int(np.argmax(bad))
-            return {}, f"column {name}, {place(row, first_line)}: {array[row]} where a finite number is wanted"
+            return {}, (f"column {name}, {place(row, first_line)}: {array[row]} where a finite number is wanted; leave "
+                        "out the row or write a number there")
         if column is not None and column.integer and array.dtype.kind == "f":
             bad = (array != np.floor(array)) | (np.abs(array) > 2.0**53)
             if bad.any():

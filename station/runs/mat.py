@@ -12,7 +12,7 @@ import numpy as np
 import scipy.io
 
 from station.errors import WorkError, printable
-from station.runs.columns import MAX_ROWS, REQUIRED, name_fault, own_names
+from station.runs.columns import BY_NAME, MAX_ROWS, REQUIRED, name_fault, own_names
 from station.runs.files import check_input, new_file, reason
 from station.runs.foreign import BEFOREHAND, run_from
 from station.runs.run import Run, RunMetadata
@@ -27,19 +27,30 @@ _MAX_VARIABLE_BYTES = 8 * MAX_ROWS + 4096
 
 
 def read_mat(path: str | os.PathLike[str]) -> Run:
-    """Read a run; WorkError, one line naming file and variable.  Objects, structs and cells are refused unread."""
+    """Read a run; WorkError, one line naming file and variable.  Objects, structs and cells are never read.
+
+    A variable beyond those of a run that is not a column of numbers as long as theirs is left out, as text about the
+    test is; where one of theirs is missing it may be meant, and is told.
+    """
     path = check_input(path)
     label = str(path)
     try:
         _check_sizes(path)
         found = {name: (shape, kind) for name, shape, kind in scipy.io.whosmat(path)}
-        for name in found:
-            _check_variable(label, name, found)
         names = dict(zip(found, own_names(found), strict=True))
+        lengths = {names[name]: max(shape, default=0) for name, (shape, _) in found.items()}
+        whole = set(BEFOREHAND) <= lengths.keys()
+        for name in found:
+            fault = _variable_fault(name, found)
+            if not whole or names[name] in BY_NAME or name == METADATA:
+                if fault:
+                    raise WorkError(f"{label}: {fault}")
+            elif fault or lengths[name] != lengths["t"]:
+                del names[name]
         fault = name_fault((name for name in names.values() if name != METADATA), BEFOREHAND)
         if fault:
             raise WorkError(f"{label}: {fault}")
-        values = scipy.io.loadmat(path, variable_names=list(found), chars_as_strings=True)
+        values = scipy.io.loadmat(path, variable_names=list(names), chars_as_strings=True)
     except WorkError:
         raise
     except Exception as error:  # scipy's reader raises whatever its parts raise on a damaged file
@@ -49,18 +60,18 @@ def read_mat(path: str | os.PathLike[str]) -> Run:
     return run_from(label, path.stem, columns, metadata)
 
 
-def _check_variable(label: str, name: str, found: Mapping[str, tuple[tuple[int, ...], str]]) -> None:
+def _variable_fault(name: str, found: Mapping[str, tuple[tuple[int, ...], str]]) -> str | None:
+    """Say why a variable is neither a column of numbers nor the metadata, or None."""
     shape, kind = found[name]
     if name == METADATA:
-        if kind != "char" or shape != (1,):
-            raise WorkError(f"{label}: metadata: one line of text is wanted")
-    elif kind not in _NUMERIC:
+        return None if kind == "char" and shape == (1,) else "metadata: one line of text is wanted"
+    if kind not in _NUMERIC:
         unpack = f"; save('run.mat', '-struct', {name[:40]!r}, '-v7') writes its fields as variables"
-        raise WorkError(f"{label}: variable {name[:40]!r} is a {kind}; {_wanted(found)}"
-                        f"{unpack if kind == 'struct' else ''}")
-    elif len(shape) != 2 or min(shape) != 1 or max(shape) > MAX_ROWS:
-        raise WorkError(f"{label}: variable {name[:40]!r}: one column of at most {MAX_ROWS} numbers is wanted, not "
-                        f"{'x'.join(map(str, shape))}; {_wanted(found)}")
+        return f"variable {name[:40]!r} is a {kind}; {_wanted(found)}{unpack if kind == 'struct' else ''}"
+    if len(shape) != 2 or min(shape) != 1 or max(shape) > MAX_ROWS:
+        return (f"variable {name[:40]!r}: one column of at most {MAX_ROWS} numbers is wanted, not "
+                f"{'x'.join(map(str, shape))}; {_wanted(found)}")
+    return None
 
 
 def _wanted(found: Iterable[str]) -> str:

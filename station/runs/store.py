@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from station.errors import UsageError, WorkError
-from station.runs.columns import place
+from station.runs.columns import BY_NAME, own_names, place
 from station.runs.csv_form import read_csv, write_csv
 from station.runs.files import check_input, check_output, reason
 from station.runs.lab_log import read_lab_log
@@ -78,8 +80,14 @@ def _form(path: Path) -> str:
             raise WorkError(f"{path}: {what}")
     if path.suffix.lower() in (".mcap", ".parquet", ".mat"):
         return path.suffix.lower()
-    header = [line for line in head.splitlines() if line.startswith(b"#")]
-    return ".txt" if header and b"\t" in header[-1] else ".csv"
+    lines = head.splitlines()
+    header = list(takewhile(lambda line: line.startswith(b"#"), lines))
+    return ".txt" if header and b"\t" in header[-1] and not _names(lines[len(header):]) else ".csv"
+
+
+def _names(lines: list[bytes]) -> bool:
+    """Whether the first line holds a run's column names, between whatever marks."""
+    return bool(lines) and not BY_NAME.keys().isdisjoint(own_names(re.split(r"[,;\t]", lines[0].decode("latin-1"))))
 
 
 def file_hash(path: Path) -> str:

@@ -55,11 +55,11 @@ def read_table(path: Path, delimiter: str, names_in_header: bool) -> Table:
             try:
                 values = np.loadtxt(chain([row], lines), delimiter=delimiter, comments=None, ndmin=2, dtype=np.float64)
             except ValueError:
-                raise _bad_row(path, delimiter, len(names), names_in_header) from None
+                raise _bad_row(path, delimiter, names, names_in_header) from None
     except UnicodeDecodeError:
-        raise WorkError(f"{path}: not UTF-8 text") from None
+        raise WorkError(f"{path}: not UTF-8 text; save it as CSV in UTF-8") from None
     if values.shape[1] != len(names):
-        raise _bad_row(path, delimiter, len(names), names_in_header)
+        raise _bad_row(path, delimiter, names, names_in_header)
     return Table(comments, names, values, number if names_in_header else number + 1)
 
 
@@ -107,7 +107,7 @@ def _rows(path: Path, file: TextIO, first: list[str], number: int) -> Iterator[s
         yield line
 
 
-def _bad_row(path: Path, delimiter: str, fields: int, names_in_header: bool) -> WorkError:
+def _bad_row(path: Path, delimiter: str, names: list[str], names_in_header: bool) -> WorkError:
     """Find the line that numpy refused, to name it."""
     with path.open(encoding="utf-8-sig", newline=None) as file:
         header = True
@@ -119,11 +119,13 @@ def _bad_row(path: Path, delimiter: str, fields: int, names_in_header: bool) -> 
                 continue
             header = False
             cells = line.rstrip("\n").split(delimiter)
-            if len(cells) != fields:
-                return WorkError(f"{path}: line {number}: {len(cells)} fields where {fields} are named")
-            for cell in cells:
+            if len(cells) != len(names):
+                return WorkError(f"{path}: line {number}: {len(cells)} fields where {len(names)} are named; leave out "
+                                 "the row or mend it")
+            for name, cell in zip(names, cells, strict=True):
                 try:
                     np.loadtxt([f"0{delimiter}{cell}"], delimiter=delimiter, comments=None)
                 except ValueError:
-                    return WorkError(f"{path}: line {number}: {cell[:40]!r} is not a number")
+                    return WorkError(f"{path}: line {number}: {cell[:40]!r} is not a number, in column {name[:40]!r}; "
+                                     "leave out the row or write a number there")
     return WorkError(f"{path}: not a table of numbers")

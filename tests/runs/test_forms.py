@@ -81,13 +81,13 @@ BAD_TEXT = {
     "no encoder": ("t,reference,command\n0,0,0\n0.002,0,0\n", "column encoder is missing"),
     "no header": ("0,0,0,0\n0.002,0,0,0\n", "the column '[^']*' stands twice"),
     "repeated column": ("t,t,reference,command,encoder\n0,0,0,0,0\n1,1,1,1,1\n", "stands twice"),
-    "a word": (HEAD + "0.002,0,zero,0,0\n0.004,0,0,0,0\n", "line 3: 'zero' is not a number"),
+    "a word": (HEAD + "0.002,0,zero,0,0\n0.004,0,0,0,0\n", "line 3: 'zero' is not a number, in column 'command'"),
     "an underscore": (HEAD + "0.002,0,1_0,0,0\n", "line 3: '1_0' is not a number"),
-    "an empty field": (HEAD + "0.002,0,,0,0\n", "line 3: '' is not a number"),
-    "cut short": (HEAD + "0.002,0,0,0,0\n0.004,0,0", "line 4: 3 fields where 5 are named"),
+    "an empty field": (HEAD + "0.002,0,,0,0\n", "line 3: '' is not a number, in column 'command'; leave"),
+    "cut short": (HEAD + "0.002,0,0,0,0\n0.004,0,0", "line 4: 3 fields where 5 are named; leave out"),
     "one field too many": (HEAD + "0.002,0,0,0,0,0\n", "line 3: 6 fields where 5"),
     "an empty line": (HEAD + "\n0.002,0,0,0,0\n", "line 3 is empty"),
-    "nan": (HEAD + "0.002,0,0,nan,0\n", "column encoder, line 3: nan where a finite number"),
+    "nan": (HEAD + "0.002,0,0,nan,0\n", "column encoder, line 3: nan where a finite number is wanted; leave out"),
     "irregular": (HEAD + "0.002,0,0,0,0\n0.009,0,0,0,0\n0.011,0,0,0,0\n", "column t, line 4: irregular time"),
     "a long line": (HEAD + "0.002,0,0,0," + "0" * 9000 + "\n", "line 3 is longer than 8192"),
     "a long first line": ("x" * 9000 + "\n", "line 1 is longer than 8192"),
@@ -107,7 +107,7 @@ def test_a_bad_csv_is_refused_in_one_line_that_names_file_and_place(case, tmp_pa
     text, words = BAD_TEXT[case]
     path = tmp_path / "bad.csv"
     path.write_bytes(text.encode("utf-8" if words else "latin-1"))
-    with pytest.raises(WorkError, match=words or "not UTF-8 text") as caught:
+    with pytest.raises(WorkError, match=words or "not UTF-8 text; save it as CSV in UTF-8") as caught:
         load_run(path)
     message = str(caught.value)
     assert message.startswith(str(path)) and "\n" not in message and len(message) < 400
@@ -314,3 +314,28 @@ def test_a_folder_of_runs_is_listed_with_the_reason_for_what_cannot_be_read(tmp_
     assert "c.csv: column" in found["c"].problem
     with pytest.raises(StationError, match="not a folder"):
         list_runs(tmp_path / "none")
+
+
+def test_what_stands_in_a_mat_beside_a_run_is_left_out_where_it_is_no_column(tmp_path):
+    rows = np.arange(20.0)
+    columns = {"t": rows / 500, "reference": rows, "command": rows, "encoder": rows, "voltage": rows}
+    beside = {"Comment": "a first try", "fs": 500.0, "Setup": {"a": 1.0}, "cell": np.array([1, "x"], dtype=object),
+              "gains": np.zeros((2, 2)), "wave": 1j * rows[:3]}
+    scipy.io.savemat(tmp_path / "a.mat", columns | beside)
+    assert list(load_run(tmp_path / "a.mat").columns()) == list(columns)
+
+
+def test_complex_columns_of_a_mat_are_refused_without_a_warning(tmp_path, recwarn):
+    rows = np.arange(20.0)
+    scipy.io.savemat(tmp_path / "a.mat", {"t": rows / 500, "reference": rows, "command": rows, "encoder": rows + 1j})
+    with pytest.raises(WorkError, match=r"a.mat: column encoder: complex numbers .*; save real\(encoder\)"):
+        load_run(tmp_path / "a.mat")
+    assert not recwarn.list
+
+
+@pytest.mark.parametrize("header", ["", '# controller = {"kind": "p",\t"gain": 2.0}\n', "# a log\tof mine\n"])
+@pytest.mark.parametrize("name", ["a.csv", "a.txt"])
+def test_a_csv_between_tabs_says_so_whatever_its_header_holds(header, name, tmp_path):
+    (tmp_path / name).write_text(header + "t\treference\tcommand\tencoder\n0\t0\t0\t0\n0.002\t0\t0\t0\n")
+    with pytest.raises(WorkError, match=f"{name}: columns stand between tabs; a comma is wanted"):
+        load_run(tmp_path / name)
