@@ -356,7 +356,7 @@ def problems(error: ValidationError, table: str = "") -> str:
     found: dict[str, list[str]] = {}
     first = sorted(error.errors(), key=lambda problem: problem["type"] != "extra_forbidden")  # the misspelt key itself
     for problem in first[:MAX_PROBLEMS]:
-        found.setdefault(_reason(problem), []).append(table + ".".join(str(part) for part in problem["loc"]))
+        found.setdefault(_reason(problem), []).append((table + ".".join(map(str, problem["loc"]))).rstrip("."))
     told = "; ".join(f"{', '.join(keys)}: {reason}" if any(keys) else reason for reason, keys in found.items())
     return told + (f" (and {len(first) - MAX_PROBLEMS} more)" if len(first) > MAX_PROBLEMS else "")
 

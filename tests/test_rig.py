@@ -67,6 +67,7 @@ EFFECT = '[[effects]]\neffect = "coulomb_friction"\nat = "motor"\ntorque = {}\n'
     ("[uncertainty]", EFFECT.format('"0.49"') + "[uncertainty]", r"effects: \[0\].torque: .* quotes, not '0.49'"),
     ("[uncertainty]", EFFECT.format("true") + "[uncertainty]", r"effects: \[0\].torque: .*number, not True"),
     ("[uncertainty]", '[[effects]]\neffect = ["x"]\n[uncertainty]', r"effects: \[0\].effect: the name of an effect"),
+    ("[uncertainty]", EFFECT.format("1").replace("motor", "tip") + "[uncertainty]", r"effects: \[0\]: coulomb"),
 ])
 def test_a_value_of_a_wrong_type_is_refused_not_read_as_a_number(old, new, words):
     with pytest.raises(UsageError, match=f"mine.toml: {words}"):
