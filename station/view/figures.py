@@ -341,10 +341,11 @@ def empty(hovermode: str = "x unified") -> go.Figure:
 
 
 def _plain(figure: go.Figure, hovermode: str = "x unified", top: int = 56) -> go.Figure:
-    figure.update_layout(template="none", hovermode=hovermode, margin={"l": 56, "r": 12, "t": top, "b": 44},
+    """The look that all figures have: the legend at the top, Plotly's buttons in a strip at the bottom (report.css)."""
+    figure.update_layout(template="none", hovermode=hovermode, margin={"l": 56, "r": 12, "t": top, "b": 68},
                          legend={"orientation": "h", "x": 0, "xref": "container", "xanchor": "left", "y": 1.0,
                                  "yanchor": "top", "yref": "container"})
     figure.update_annotations(x=0, xanchor="left", font={"size": 13})
-    figure.update_xaxes(zeroline=False, ticks="outside")
+    figure.update_xaxes(zeroline=False, ticks="outside", title_standoff=6)
     figure.update_yaxes(zeroline=True, automargin=True)
     return figure

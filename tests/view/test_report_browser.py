@@ -115,6 +115,23 @@ def test_no_button_sends_the_data_anywhere(browser: Any, report: Path) -> None:
     page.context.close()
 
 
+@pytest.mark.parametrize("width", [380, 1500])
+def test_the_buttons_cover_no_entry_of_a_legend_and_no_name_of_an_axis(browser: Any, tmp_path: Path,
+                                                                       width: int) -> None:
+    write_report(made.result("explained", runs=5), tmp_path / "report.html")
+    page = Watched(browser, viewport={"width": width, "height": 900}).open(tmp_path / "report.html")
+    covered = page.evaluate("""() => [...document.querySelectorAll('[data-drawn]')].map(place => {
+        const groups = [...place.querySelectorAll('.modebar-group')].map(e => e.getBoundingClientRect());
+        const texts = [...place.querySelectorAll('.legend .traces, .infolayer text')];
+        return [groups.length, texts.length, texts.filter(e => { const r = e.getBoundingClientRect();
+            return groups.some(g => r.left < g.right && g.left < r.right && r.top < g.bottom && g.top < r.bottom);
+        }).map(e => e.textContent)]; })""")
+    assert len(covered) >= 5
+    for groups, texts, under in covered:
+        assert groups and texts and under == []
+    page.context.close()
+
+
 def test_a_drag_zooms_and_a_double_click_shows_all_again(browser: Any, report: Path) -> None:
     page = Watched(browser, viewport=DESK).open(report)
     reach = "document.getElementById('figure-hero').layout.xaxis.range"
