@@ -30,6 +30,8 @@ def test_the_tutorial_runs_from_its_first_command_to_its_last(station, tmp_path,
                 continue
             ended = station(*shlex.split(line)[1:])
             assert ended.status == 0, f"{line}: {ended.err}"
+            if line == "station compare --rig sflr first.mcap":
+                assert re.search(r"^ first +0 % +0 % ", ended.out, re.MULTILINE)
             said[line.split(" --")[0] + ("" if "better.toml" not in line else " better")] = ended.out
     assert said["station loopback"].startswith("Good")
 
