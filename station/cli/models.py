@@ -21,7 +21,7 @@ from station.cli.options import (
     tell_lacks,
     tell_unknown,
 )
-from station.cli.terminal import as_json, console, number, progress, row, say, table, write_text
+from station.cli.terminal import as_json, console, progress, quantity, row, say, table, write_text
 from station.errors import UsageError
 
 if TYPE_CHECKING:
@@ -73,13 +73,12 @@ def comparison_table(rig: str, found: list[dict[str, Any]]) -> Table:
     shown = table(f"Error in % of the signal's spread; measured and simulated by {rig}", "run", "angle", "acceleration",
                   "overshoot measured", "simulated", "settling measured", "simulated")
     for item in found:
-        error = [number(100.0 * item[channel]["nrmse"]) + " %" if channel in item else "-"
+        error = [quantity(100.0 * item[channel]["nrmse"], "%", 3) if channel in item else "-"
                  for channel in ("encoder", "accel")]
         step = []
         if item["measured"]:
-            step = [f"{number(item[side]['overshoot_percent'])} %" for side in ("measured", "simulated")]
-            step += [f"{number(item[side]['settling_time'], none='never')} s".replace("never s", "never")
-                     for side in ("measured", "simulated")]
+            step = [quantity(item[side]["overshoot_percent"], "%", 3) for side in ("measured", "simulated")]
+            step += [quantity(item[side]["settling_time"], "s", 3, none="never") for side in ("measured", "simulated")]
         row(shown, item["run"], *error, *(step or ["-"] * 4))
     return shown
 
@@ -89,8 +88,8 @@ def fit(
     runs: RunFiles, rig: RigName,
     save_rig: Annotated[Path | None, typer.Option("--save-rig", metavar="FILE", help="Write the fitted rig.")] = None,
     hold: Annotated[list[str] | None, typer.Option("--hold", metavar="TABLE.KEY", help=(
-        "Constant that stays as it is; may be repeated. By default beam.mass_per_length: one common factor of all "
-        "torques and inertias is invisible."))] = None,
+        "Constant that stays as it is; may be repeated. By default beam.mass_per_length, of a rig without a beam "
+        "motor.inertia: one common factor of all torques and inertias is invisible."))] = None,
     domain: Annotated[Literal["time", "frequency", "both"], typer.Option("--domain", help=(
         "Compare predictions with the runs, or frequency responses with the model's."))] = "time",
     starts: Annotated[int, typer.Option("--starts", min=1, max=100, help="Starting points of the search.")] = 4,

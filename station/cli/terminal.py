@@ -68,9 +68,10 @@ def number(value: float | None, digits: int = 3, none: str = "-") -> str:
     return none if value is None or not math.isfinite(value) else f"{value:.{digits}g}"
 
 
-def quantity(value: float, unit: str, digits: int = 4) -> str:
-    """A number with its unit; one without dimension has none."""
-    return number(value, digits) if unit in ("", "1") else f"{number(value, digits)} {unit}"
+def quantity(value: float | None, unit: str, digits: int = 4, none: str = "-") -> str:
+    """A number with its unit; one without dimension has none, nor has what is no number."""
+    text = number(value, digits, none)
+    return text if text == none or unit in ("", "1") else f"{text} {unit}"
 
 
 def as_json(target: str | Path | None, content: Any) -> bool:

@@ -74,6 +74,12 @@ class Identity:
         return f"{self.boot:08x}.{self.zeroings}"
 
     @property
+    def rates(self) -> str:
+        """At which sample rates it runs, for people."""
+        ends = f"{self.rate_min:g}", f"{self.rate_max:g}"
+        return f"{' to '.join(dict.fromkeys(ends))} Hz"
+
+    @property
     def reset_words(self) -> str:
         """Why it was last reset, for people."""
         return self.reset.name.lower() if isinstance(self.reset, Reset) else f"code {self.reset}"

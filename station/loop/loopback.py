@@ -67,8 +67,7 @@ def loopback(port: Port, rate: float | None = None, seconds: float = 2.0, answer
     if rate is None:
         rate = max(min(identity.rate_max, line.highest_rate(answer_ticks)), identity.rate_min)
     if not identity.rate_min - 1e-3 <= rate <= identity.rate_max + 1e-3:
-        raise UsageError(f"{port.url}: the device runs at {identity.rate_min:g} to {identity.rate_max:g} Hz, "
-                         f"not at {rate:g}")
+        raise UsageError(f"{port.url}: the device runs at {identity.rates}, not at {rate:g}")
     line.require(port.url, rate, answer_ticks)
     rows: list[tuple[int, float, int, float, float]] = []
     clock = DeviceClock(identity.clock_hz)

@@ -110,7 +110,7 @@ def connect(client: Client, rig: Rig, answer_ticks: int) -> Identity:
     """Identify the device, clear an old fault, and see that it and its line can run this rig's tests."""
     identity = identify_clear(client)
     if not identity.rate_min - 1e-3 <= rig.sample_rate <= identity.rate_max + 1e-3:
-        raise UsageError(f"{client.port.url}: the device runs at {identity.rate_min:g} to {identity.rate_max:g} Hz, "
+        raise UsageError(f"{client.port.url}: the device runs at {identity.rates}, "
                          f"rig {rig.name} at sample_rate = {rig.sample_rate:g}")
     Line.of(client.port, identity).require(client.port.url, rig.sample_rate, answer_ticks)
     return identity

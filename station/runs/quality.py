@@ -64,7 +64,7 @@ class Scatter:
         there = [value for value in values if value is not None]
         if not there:
             return cls(None, None, 0)
-        sigma = float(np.std(there, ddof=1)) if len(there) > 1 else None
+        sigma = float(np.std(np.subtract(there, there[0]), ddof=1)) if len(there) > 1 else None    # of equal ones: 0
         return cls(float(np.mean(there)), sigma, len(there))
 
 

@@ -7,7 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import typer
 
+from station.cli.models import app, comparison_table
+from station.fit.estimate import HELD
 from station.rig import builtin_rigs, load_rig
 from station.runs import Run, export_run, load_run
 from tests.cli.conftest import step_run
@@ -187,3 +190,17 @@ def test_a_diagnosis_names_runs_of_one_name_by_their_folders(station, tmp_path):
     assert len({run["file_sha256"] for run in runs}) == 2
     text = page.read_text()
     assert "monday/step" in text and "tuesday/step" in text
+
+
+def test_a_measure_that_there_is_not_has_no_unit():
+    none = {"overshoot_percent": None, "settling_time": None}
+    shown = comparison_table("sflr", [{"run": "a", "encoder": {"nrmse": float("nan")}, "measured": none,
+                                       "simulated": none | {"overshoot_percent": 40.0}}])
+    assert [str(cell) for column in shown.columns for cell in column.cells] == [
+        "a", "-", "-", "-", "40 %", "never", "never"]
+
+
+def test_the_help_says_what_a_fit_holds():
+    (hold,) = (parameter for parameter in typer.main.get_command(app).commands["fit"].params
+               if parameter.name == "hold")
+    assert all(constant in hold.help for constant in HELD)

@@ -150,7 +150,7 @@ def test_a_display_that_fails_or_hangs_changes_nothing(rows, monkeypatch, displa
 
 def test_a_device_at_another_rate_is_refused_before_a_log_is_made(rows):
     slow = rows.rig.model_copy(update={"sample_rate": 250.0})
-    with pytest.raises(UsageError, match="the device runs at 500 to 500 Hz, rig sflr at sample_rate = 250"):
+    with pytest.raises(UsageError, match="the device runs at 500 Hz, rig sflr at sample_rate = 250"):
         rows.test_at("sim://sflr", rig=slow)
     assert rows.sinks == []
 

@@ -49,6 +49,7 @@ def test_saturation_is_counted_at_the_limit_of_either_sign():
 
 def test_scatter_is_the_standard_deviation_between_repeats():
     assert Scatter.of([1.0, 2.0, 3.0]) == Scatter(2.0, 1.0, 3)
+    assert Scatter.of(3 * [0.12000000000000002]).sigma == 0.0
     assert Scatter.of([4.0, None]) == Scatter(4.0, None, 1)
     assert Scatter.of([None]) == Scatter(None, None, 0)
 
