@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from station.diagnose.equivalences import completed, rivals, standing, with_word
 from station.diagnose.experiment import choose
 from station.diagnose.finding import between_runs, bought, find
+from station.diagnose.logs import as_logged
 from station.diagnose.odds import estimates, in_order, with_outside
 from station.diagnose.ranking import notes, ranking
 from station.diagnose.result import Cause, Diagnosis, DiagnosisResult, Disturbance, Ranked, RunComparison, RunFile
@@ -24,6 +25,7 @@ from station.diagnose.validation import gain, seconds_ahead
 from station.diagnose.verdict import verdict
 from station.diagnose.wrong import wrong
 from station.errors import UsageError, WorkError
+from station.estimation.answers import answers, refuse_wrong_signs_and_units, unlikely
 from station.estimation.cause import Key
 from station.estimation.dataset import canonical_order, dataset
 from station.estimation.least_squares import CANNOT_SIMULATE, DIVERGED
@@ -59,9 +61,12 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
 
 def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str, float], None],
               pool: Pool) -> DiagnosisResult:
-    runs, parts = _usable(rig, given)
+    runs, parts, amiss = _usable(rig, given)
     data = dataset(rig, runs, parts)
     predictor = Predictor(data, observers(data.rig, data.noise[0]), pool, *EFFORTS[effort].accuracies)
+    answered = answers(predictor)
+    refuse_wrong_signs_and_units(answered)
+    amiss += unlikely(answered)
     try:
         search = select(predictor, EFFORTS[effort], report)
     except DIVERGED:
@@ -112,7 +117,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, ranked, draw, constants,
                            notes(rig, search, finding, judged), plan=choice.plan, unseen=choice.unseen,
                            prediction=choice.prediction,
-                           equivalences=[row.equivalence.sentence for row in known] if causes else [])
+                           equivalences=[row.equivalence.sentence for row in known] if causes else [], amiss=amiss)
 
 
 def _drawn(rig: Rig, extended: Rig, runs: Sequence[Run], causes: Sequence[tuple[str, str]], pool: Pool,
@@ -133,20 +138,20 @@ def _put_in_order(found: DiagnosisResult) -> None:
     found.comparisons.sort(key=lambda row: row.run.name)
 
 
-def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice]]:
-    """The runs, checked, their gaps filled, and the rows of each that count: a run that is alone is judged half by
-    half."""
+def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice], list[str]]:
+    """The runs, checked, their gaps filled, the rows of each that count (a run that is alone is judged half by half),
+    and what is amiss with them."""
     if not runs:
         raise UsageError("diagnose: at least one run is wanted")
     for run in runs:
         if rig.accelerometer is not None and run.accel is None:
             raise WorkError(f"{run.name}: no accelerometer column, but rig {rig.name} has an accelerometer")
-    runs = [run.filled(rig.sample_rate) for run in runs]
+    runs, amiss = as_logged(rig, [run.filled(rig.sample_rate) for run in runs])
     if len(runs) > 1:
-        return runs, [slice(None)] * len(runs)
+        return runs, [slice(None)] * len(runs), amiss
     half = len(runs[0].t) // 2
     return ([replace(runs[0], name=f"{runs[0].name} ({part} half)") for part in ("first", "second")],
-            [slice(0, half), slice(half, None)])
+            [slice(0, half), slice(half, None)], amiss)
 
 
 def _disturbance(predictor: Predictor, rigs: Sequence[Rig]) -> Disturbance:

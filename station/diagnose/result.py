@@ -315,6 +315,8 @@ class DiagnosisResult:
     """What the leading rivals say of it."""
     equivalences: list[str] = field(default_factory=list)
     """What is known to be the same as the causes named, in sentences."""
+    amiss: list[str] = field(default_factory=list)
+    """What is amiss with the logs or the rig file, before any physics: a sentence each."""
 
     def refitted(self, channel: str) -> float | None:
         """nrmse over all runs with the constants re-fitted alone, by fits that left each run out, as ``gain`` has it

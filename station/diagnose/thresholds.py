@@ -76,5 +76,8 @@ SHOWN_COUNTS = 1.5
 count, half a count more than both can make."""
 SHOWN_SETTLING = 0.05
 """Seconds by which settling times must: half a swing of a rig of 10 Hz, inside the band or not."""
+OWN_COMMANDS = 0.1
+"""Share of their rms by which a log's commands may miss those of its controller: of the measured logs rounding makes
+0.002, a controller of another gain 0.8 or more; what a tenth changes no drawing shows, either."""
 SHOWN_SHARE = 0.1
 """Error, as a share of the signal, from which on it is listed: a smaller one is hidden by the lines of a drawing."""

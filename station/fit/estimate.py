@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from station.errors import UsageError, WorkError
 from station.estimation import least_squares
+from station.estimation.answers import answers, refuse_wrong_signs_and_units
 from station.estimation.constants import cooled, refined, searched, settled
 from station.estimation.dataset import canonical_order, dataset
 from station.estimation.identifiability import unseen
@@ -63,6 +64,7 @@ def fit(rig: Rig, runs: Sequence[Run], hold: Sequence[str] | None = None, *, dom
     with threadpool_limits(1):
         pool = Pool(threads, PREPARE)
         predictor = Predictor(data, observers(data.rig, data.noise[0]), pool)
+        refuse_wrong_signs_and_units(answers(predictor))
         if domain != "time":
             predictor = with_responses(predictor, alone=domain == "frequency")
         try:

@@ -24,6 +24,8 @@ def print_diagnosis(result: DiagnosisResult, console: Console, rig: str = "RIG")
     """
     found = wording.as_told(result)
     console.print(_plain(wording.verdict_sentence(found, result.rig)), style="bold")
+    for sentence in result.amiss:
+        console.print(_plain(f"First: {sentence}."), style="yellow")
     if found.wrong:
         console.print(_table("What the simulation gets wrong", ["run", "measure", "simulated", "measured"],
                              [(w.run, *wording.measure(w)) for w in found.wrong]))

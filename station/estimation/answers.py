@@ -1,0 +1,107 @@
+"""Whether sensors answer the commands as the rig file says, but for what no fit mends: a wrong sign, a wrong unit.
+
+With y what was read, y(1) its prediction and y(0) that of a motor which does nothing,
+
+    g = d'e / d'd,   r = d'e / (|d| |e|),   d = y(1) - y(0),   e = y - y(0),
+
+g is the least-squares gain from command to reading in units of the rig's own, r how surely it is one.  The angle is
+predicted a few hundredths of a second ahead, where neither a loop nor a spring has had time to answer, the acceleration
+from the commands alone.  Only of tests that drive the rig: where a loop holds a reference that never moves, commands
+answer the readings, and g is that loop's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from station.errors import WorkError
+from station.estimation.prediction import Predictor, predict_run
+from station.model.simulate import Model, build
+
+SURE = 0.5
+"""Correlation from which on a sign is certain: tests of the measured rigs have 0.91 or more for the angle and 0.67 for
+the acceleration, those of some hundred made rigs 0.08 (most above 0.6) and 0.5 at least, none less than 0."""
+UNIT, UNLIKELY = 30.0, 3.0
+"""Factors by which a gain is off that no rig has (a radian is 57 degrees, a thousandth a thousand), and that no rig has
+whose constants are wrong by their usual uncertainty (gain and inertia by 30 % each are off by 2.9 at 2.5 sigmas)."""
+READINGS = ("angle", "acceleration")
+MENDED = "mend the rig file, or the column of the log"
+SCALES = {"angle": "counts and not rad or degrees, encoder.counts_per_revolution, motor.gain in N m per count, "
+                   "inertias in kg m^2",
+          "acceleration": "counts and not m/s^2, accelerometer.gain in counts per m/s^2"}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """How one reading of one run answers its commands."""
+
+    run: str
+    reading: str
+    gain: float
+    sureness: float
+
+    @property
+    def against(self) -> bool:
+        """Whether it moves the other way, by about as much."""
+        return self.sureness < -SURE and not self.off_by(UNIT)
+
+    def off_by(self, factor: float) -> bool:
+        """Whether it moves so many times as much, or as little, whichever way."""
+        return abs(self.sureness) > SURE and not 1.0 / factor < abs(self.gain) < factor
+
+
+def answers(predictor: Predictor) -> list[Answer]:
+    """Of every run that drives the rig, the angle first."""
+    model = build(predictor.data.rig, *predictor.accuracy[:2])
+    found = []
+    for r, run in enumerate(predictor.data.runs):
+        if run.open_loop or np.ptp(run.reference) > 0.0:
+            found += _answers(predictor, model, r)
+    return found
+
+
+def _answers(predictor: Predictor, model: Model, r: int) -> list[Answer]:
+    data, record = predictor.data, predictor.data.records[r]
+    idle = data.own[r] + np.array([0.0, 0.0, -1.0, 0.0])
+    driven, still = (predict_run(data, model, predictor.observers, r, own)[0] for own in (data.own[r], idle))
+    found = []
+    for channel, horizon in enumerate((0, -1)[: data.channels]):
+        apart = (driven - still)[horizon, channel, record.window]
+        read = record.measured[channel, record.window] - still[horizon, channel, record.window]
+        if channel:
+            apart, read = apart - apart.mean(), read - read.mean()
+        with np.errstate(all="ignore"):
+            square = float(apart @ apart)
+            gain, sureness = float(apart @ read) / square, float(apart @ read) / np.sqrt(square * float(read @ read))
+        if np.isfinite(gain) and np.isfinite(sureness):
+            found.append(Answer(data.runs[r].name, READINGS[channel], gain, float(sureness)))
+    return found
+
+
+def refuse_wrong_signs_and_units(found: list[Answer]) -> None:
+    """WorkError where a reading answers the other way, or so much that its unit must be another."""
+    for one in found:
+        if one.off_by(UNIT):
+            raise WorkError(f"{one.run}: the {one.reading} answers commands {abs(one.gain):.2g} times as much as the "
+                            f"rig file says: a unit is wrong ({SCALES[one.reading]}); {MENDED}")
+    turned = {one.reading: one for one in reversed(found) if one.against}
+    if len(turned) == len(READINGS):
+        raise WorkError(f"{turned[READINGS[0]].run}: angle and acceleration both move the other way than the rig file "
+                        f"says: command or motor.gain has the wrong sign; {MENDED}")
+    for one in turned.values():
+        sensor = "encoder, command or motor.gain" if one.reading == READINGS[0] else "accelerometer"
+        raise WorkError(f"{one.run}: the {one.reading} moves the other way than the rig file says (correlation "
+                        f"{one.sureness:.2f}): {sensor} has the wrong sign; {MENDED}")
+
+
+def unlikely(found: list[Answer]) -> list[str]:
+    """A sentence for each reading that answers most runs much more or less than the rig file says."""
+    said = []
+    for reading in READINGS:
+        gains = [one.gain for one in found if one.reading == reading and one.sureness > SURE]
+        if gains and not 1.0 / UNLIKELY < (gain := float(np.median(gains))) < UNLIKELY:
+            said.append(f"the {reading} answers the commands {gain:.2g} times as much as the rig file says; if that is "
+                        f"a unit or a scale ({SCALES[reading]}), mend it")
+    return said

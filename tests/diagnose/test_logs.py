@@ -1,0 +1,64 @@
+"""Logs that are not what they say: another controller, or more than the amplifier gives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from station.diagnose.diagnose import diagnose
+from station.diagnose.logs import as_logged, off_by
+from station.diagnose.thresholds import OWN_COMMANDS
+from station.rig import load_rig
+from station.runs import load_run
+from tests.estimation.made import AXIS, runs_of
+from tests.measured import LOGS, SERVO_LOGS, measured_folder, measured_log
+
+RUNS = runs_of(AXIS)
+CLOSED = [run for run in RUNS if not run.open_loop]
+
+
+def of(run, **spec):
+    """The run, its log naming another controller."""
+    return replace(run, metadata=run.metadata.model_copy(update={"controller": run.metadata.controller | spec}))
+
+
+def test_a_log_whose_commands_are_its_controllers_stays_as_it_is() -> None:
+    found, said = as_logged(AXIS, RUNS)
+    assert all(one is run for one, run in zip(found, RUNS, strict=True)) and said == []
+    assert all(off_by(AXIS, run) < 0.01 for run in RUNS)
+
+
+def test_commands_of_another_controller_make_it_unknown() -> None:
+    found, said = as_logged(AXIS, [of(run, gain=20.0) for run in CLOSED])
+    assert [run.metadata.controller for run in found] == [{"kind": "unknown"}] * 2
+    (sentence,) = said
+    assert "and 1 more" in sentence and "station replay" in sentence
+
+
+def test_a_controller_that_is_none_is_left_to_who_simulates_it() -> None:
+    odd = of(CLOSED[0], kind="none that there is")
+    assert off_by(AXIS, odd) == 0.0 and as_logged(AXIS, [odd])[0] == [odd]
+
+
+def test_commands_beyond_the_amplifiers_limit_are_told() -> None:
+    limit = 0.5 * float(np.max(np.abs(RUNS[-1].command)))
+    small = AXIS.model_copy(update={"amplifier": AXIS.amplifier.model_copy(update={"limit": limit})})
+    _, said = as_logged(small, RUNS[-1:])
+    assert len(said) == 1 and "amplifier.limit" in said[0] and RUNS[-1].name in said[0]
+
+
+def test_the_gain_is_told_a_time_ahead_where_the_logs_name_another_controller() -> None:
+    result = diagnose(AXIS, [of(run, gain=20.0) for run in CLOSED] + RUNS[-1:], effort="quick")
+    assert len(result.amiss) == 1 and result.amiss[0].startswith(tuple(run.name for run in CLOSED))
+    assert [row.seconds_ahead is None for row in result.comparisons] == [run.name == "pulses" for run in
+                                                                        sorted(RUNS, key=lambda run: run.name)]
+
+
+@pytest.mark.parametrize("folder", ["sflr", "xl330"])
+def test_the_measured_logs_name_their_controllers(folder: str) -> None:
+    rig = load_rig("sflr" if folder == "sflr" else str(measured_folder(folder) / "rig.toml"))
+    logs = LOGS if folder == "sflr" else SERVO_LOGS
+    shares = [off_by(rig, load_run(measured_log(name, folder)).filled(rig.sample_rate)) for name in logs]
+    assert max(shares) < 0.05 * OWN_COMMANDS

@@ -1,0 +1,100 @@
+"""A sensor that is read the wrong way round or in another unit is told before anything is fitted, and no other is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from station.errors import WorkError
+from station.estimation.answers import SURE, UNLIKELY, Answer, answers, refuse_wrong_signs_and_units, unlikely
+from station.fit import fit
+from station.rig import Rig
+from station.runs.run import Run
+from tests.estimation.made import predictions
+from tests.truth import RIGID_AXIS, SERVO, SFLR, TWO_MASS
+from tests.truth.cases import make_case
+
+RIGS = {"axis": RIGID_AXIS, "two-mass": TWO_MASS, "sflr": SFLR, "servo": SERVO}
+
+
+@cache
+def made(shape: str) -> tuple[Rig, tuple[Run, ...]]:
+    """A rig as its file says, and tests of one that is wrong by its uncertainty and rubs."""
+    case = make_case(9100, [("coulomb_friction", "motor")], nominal=RIGS[shape], count=4, disturbance=0.02)
+    return Rig.model_validate(RIGS[shape]), tuple(case.runs)
+
+
+def one_line(error: WorkError, *words: str) -> None:
+    """A message for people."""
+    assert "\n" not in str(error) and all(word in str(error) for word in words), str(error)
+
+
+def altered(runs: tuple[Run, ...], **by: float) -> list[Run]:
+    """Columns times a factor."""
+    return [replace(run, **{column: factor * getattr(run, column) for column, factor in by.items()}) for run in runs]
+
+
+@pytest.mark.parametrize("shape", RIGS)
+def test_of_a_rig_that_is_as_its_file_says_nothing_is_told(shape: str) -> None:
+    rig, runs = made(shape)
+    found = answers(predictions(rig, runs))
+    assert {one.run for one in found} == {run.name for run in runs}
+    assert {one.reading for one in found} == ({"angle", "acceleration"} if rig.accelerometer else {"angle"})
+    assert all(one.sureness > 0.0 for one in found) and np.median([one.sureness for one in found]) > SURE
+    assert all(1.0 / UNLIKELY < one.gain < UNLIKELY for one in found if one.sureness > SURE)
+    refuse_wrong_signs_and_units(found)
+    assert unlikely(found) == []
+
+
+@pytest.mark.parametrize(("shape", "by", "words"), [
+    ("axis", {"encoder": -1.0}, ("angle moves the other way", "encoder")),
+    ("servo", {"command": -1.0}, ("angle moves the other way", "motor.gain")),
+    ("sflr", {"accel": -1.0}, ("acceleration moves the other way", "accelerometer has the wrong sign")),
+    ("sflr", {"encoder": -1.0}, ("angle moves the other way", "encoder")),
+    ("sflr", {"command": -1.0}, ("angle and acceleration both", "command or motor.gain")),
+    ("two-mass", {"encoder": 2.0 * np.pi / 4096.0}, ("angle", "unit is wrong", "counts and not rad")),
+    ("servo", {"command": 1000.0}, ("angle", "unit is wrong", "motor.gain")),
+    ("sflr", {"accel": 1000.0}, ("acceleration", "times as much", "unit is wrong", "accelerometer.gain"))])
+def test_a_wrong_sign_or_unit_is_one_line_that_names_run_and_column(shape: str, by: dict[str, float],
+                                                                    words: tuple[str, ...]) -> None:
+    rig, runs = made(shape)
+    given = altered(runs, **by)
+    with pytest.raises(WorkError) as refused:
+        refuse_wrong_signs_and_units(answers(predictions(rig, given)))
+    one_line(refused.value, *words)
+    assert any(str(refused.value).startswith(f"{run.name}: ") for run in runs)
+    with pytest.raises(WorkError) as refused:
+        fit(rig, given, starts=1, threads=1)
+    one_line(refused.value, *words)
+
+
+def test_a_rig_file_with_inertia_in_another_unit_is_no_wrong_sign() -> None:
+    rig, runs = made("axis")
+    heavy = rig.with_constants({"motor.inertia": 1e7 * rig.motor.inertia})     # g cm^2 for kg m^2
+    with pytest.raises(WorkError, match="unit is wrong"):
+        refuse_wrong_signs_and_units(answers(predictions(heavy, runs)))
+
+
+def test_four_times_the_counts_are_told_and_not_refused() -> None:
+    """Lines of an encoder's disc for quadrature counts: a rig could be so."""
+    rig, runs = made("axis")
+    found = answers(predictions(rig, altered(runs, encoder=4.0)))
+    refuse_wrong_signs_and_units(found)
+    (sentence,) = unlikely(found)
+    assert "angle" in sentence and "counts_per_revolution" in sentence
+
+
+def test_a_loop_that_holds_a_still_reference_answers_for_nothing() -> None:
+    rig, runs = made("axis")
+    held = [replace(run, reference=np.zeros_like(run.reference)) for run in runs if not run.open_loop]
+    assert held and answers(predictions(rig, held)) == []
+
+
+@pytest.mark.parametrize(("gain", "sureness", "against", "off"), [
+    (-0.9, -0.9, True, False), (-0.9, -0.4, False, False), (-1e3, -0.9, False, True), (1e3, 0.4, False, False)])
+def test_what_is_not_sure_says_nothing(gain: float, sureness: float, against: bool, off: bool) -> None:
+    one = Answer("run", "angle", gain, sureness)
+    assert (one.against, one.off_by(30.0)) == (against, off)
