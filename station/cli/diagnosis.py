@@ -33,7 +33,7 @@ def diagnose(
     """Name what the simulation gets wrong on these runs, how sure that is, and what to test next."""
     from station.estimation.pool import SIZE, Pool
 
-    Pool(SIZE, "station.diagnose.diagnose:load_compiled")     # the others load theirs while this one does
+    Pool(SIZE, "station.diagnose.diagnose:prepare")     # the others load theirs while this one does
     from station.diagnose.diagnose import diagnose as find
     from station.rig import load_rig
     from station.view.terminal import print_diagnosis

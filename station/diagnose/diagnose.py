@@ -29,6 +29,7 @@ from station.estimation.answers import answers, refuse_wrong_signs_and_units, un
 from station.estimation.cause import Key
 from station.estimation.dataset import canonical_order, dataset
 from station.estimation.least_squares import CANNOT_SIMULATE, DIVERGED
+from station.estimation.loaded import load_compiled
 from station.estimation.observer import observers
 from station.estimation.pool import SIZE, Pool
 from station.estimation.prediction import SEARCH, Predictor, predict_run
@@ -51,12 +52,17 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     begun = time.perf_counter()
     if effort not in EFFORTS:
         raise UsageError(f"--effort: {effort!r} is none of {', '.join(EFFORTS)}")
-    pool = Pool(threads, f"{__name__}:load_compiled")   # of this module: to find it there loads all of this
+    pool = Pool(threads, f"{__name__}:prepare")
     with threadpool_limits(1):
         found = _diagnose(rig, [runs[i] for i in canonical_order(runs)], effort,
                           progress or (lambda text, share: None), pool)
     _put_in_order(found)
     return replace(found, seconds=time.perf_counter() - begun)
+
+
+def prepare() -> None:
+    """What a process beside this one does before it is asked for anything; that it is in this module loads the rest."""
+    load_compiled()
 
 
 def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str, float], None],

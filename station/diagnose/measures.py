@@ -69,7 +69,7 @@ def repeats(runs: Sequence[Run]) -> list[dict[str, float]]:
         for name in step_figures(run, run.encoder):
             values = [value for step in steps if (value := step.get(name)) is not None]
             if len(values) > 1:
-                found[k][name] = float(np.std(values, ddof=1))
+                found[k][name] = float(np.std(np.subtract(values, values[0]), ddof=1))    # of equal ones: 0
     return found
 
 

@@ -41,7 +41,7 @@ RIGIDITY = 0.03
 thickness that varies by a percent (of cold rolled strip several are allowed: EN 10140), or a sensor's cable along it.
 """
 UNROUNDED = 0.3
-"""Noise of an encoder, counts, from which on its rounding errors are independent from sample to sample (Widrow)."""
+"""Noise of a sensor, counts, from which on its rounding errors are independent from sample to sample (Widrow)."""
 
 
 class Logs(NamedTuple):
@@ -267,7 +267,7 @@ def _record(rig: Rig, run: Run, window: slice, noise: Sequence[float], zero_grou
     rest = len(run) if warm else max(rest_rows(run), 1)
     return Record(
         run=run, window=kept, measured=np.stack(readings).astype(float),
-        share=_shares(run, kept, noise[0])[:channels],
+        share=_shares(run, kept, noise),
         start=float(np.mean(run.encoder[rest_start(run)])) * rig.angle_per_count,
         offset=float(np.mean(readings[1][:rest])) if channels > 1 else 0.0, warm=warm, zero_group=zero_group,
         segment=segment)
@@ -303,10 +303,10 @@ def _warm_rows(rig: Rig, run: Run, noise: Sequence[float]) -> int:
     return math.ceil(WARM * rig.sample_rate) if moving and len(run) > 2 * WARM * rig.sample_rate else 0
 
 
-def _shares(run: Run, window: np.ndarray, noise: float) -> np.ndarray:
-    """Independent errors per sample of encoder and accelerometer (2, n)."""
-    ones = np.ones_like(run.encoder)
-    return np.stack([ones if noise > UNROUNDED else rounding_shares(run.encoder), ones]) * window
+def _shares(run: Run, window: np.ndarray, noise: Sequence[float]) -> np.ndarray:
+    """Independent errors per sample of each channel (c, n)."""
+    return np.stack([np.ones_like(read) if own > UNROUNDED else rounding_shares(read)
+                     for read, own in zip((run.encoder, run.accel), noise, strict=False) if read is not None]) * window
 
 
 def clock_evidence(runs: Sequence[Run]) -> tuple[float, float] | None:

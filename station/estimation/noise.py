@@ -28,8 +28,8 @@ BLOCK = 50
 """Rows whose differences are taken together."""
 
 
-def rounding_shares(encoder: np.ndarray) -> np.ndarray:
-    """Independent rounding errors per sample (n) of an encoder's readings (n), counts; 1 while it moves fast.
+def rounding_shares(reading: np.ndarray) -> np.ndarray:
+    """Independent rounding errors per sample (n) of a sensor's readings (n), counts; 1 while it moves fast.
 
     As long as it stands at one count the rounding error runs through its values once at most: of all these samples no
     more than SMOOTH are independent, and they count alike, for where it leaves a count the error is half of one.
@@ -37,16 +37,16 @@ def rounding_shares(encoder: np.ndarray) -> np.ndarray:
     between two counts, for the angle stands where one becomes the other, do not move: what counts is what is left
     beyond a play of one count (Visintin, Differential Models of Hysteresis, 1994, chapter III).
     """
-    stay = np.cumsum(np.diff(_beyond_play(encoder), prepend=np.nan) != 0.0) - 1
+    stay = np.cumsum(np.diff(_beyond_play(reading), prepend=np.nan) != 0.0) - 1
     independent = np.full(stay[-1] + 1, SMOOTH)
     independent[[0, -1]] = 1.0
     return np.minimum(independent / np.bincount(stay), 1.0)[stay]
 
 
-def _beyond_play(encoder: np.ndarray) -> np.ndarray:
+def _beyond_play(reading: np.ndarray) -> np.ndarray:
     """(n) where a part is that readings (n), counts, push to and fro by play of half a count on either side."""
-    low, high = (encoder - 0.5).tolist(), (encoder + 0.5).tolist()
-    place, places = float(encoder[0]), []
+    low, high = (reading - 0.5).tolist(), (reading + 0.5).tolist()
+    place, places = float(reading[0]), []
     for least, most in zip(low, high, strict=True):
         place = min(max(place, least), most)
         places.append(place)

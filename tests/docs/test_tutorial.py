@@ -39,6 +39,7 @@ def test_the_tutorial_runs_from_its_first_command_to_its_last(station, tmp_path,
     (cause,) = found["causes"]
     torque = cause["parameters"]["torque"]
     assert (cause["effect"], cause["at"]) == ("coulomb_friction", "motor")
+    assert found["verdict"] == "explained", "nothing else is hidden, and the simulated sensors only round"
     assert torque["low"] <= 0.03 <= torque["high"]
     (effect,) = load_rig(tmp_path / "better.toml").effects
     assert effect.torque == pytest.approx(torque["value"], rel=1e-3)

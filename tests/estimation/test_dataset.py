@@ -10,11 +10,13 @@ import pytest
 
 from station.errors import WorkError
 from station.estimation.dataset import SEGMENTS, WARM, canonical_order, dataset
+from station.estimation.noise import rounding_shares
 from station.model.effects import USUAL_SPEED
-from station.rig import load_rig
+from station.rig import Rig, load_rig
 from station.runs.ticks import CLOCKS
 from tests.cli.conftest import step_run
 from tests.estimation.made import AXIS, run_of, runs_of
+from tests.truth import SFLR
 
 
 def test_the_order_of_runs_is_their_contents_whatever_the_order_given() -> None:
@@ -48,6 +50,17 @@ def test_rows_outside_a_window_hold_no_errors() -> None:
         inside = np.zeros(full.shape[1], dtype=bool)
         inside[window] = True
         assert np.array_equal(own[:, inside], full[:, inside]) and not own[:, ~inside].any()
+
+
+def test_a_sensor_without_noise_only_rounds_whichever_it_is() -> None:
+    """What rounding leaves of a slow reading is one error over all rows at one count, not one in each."""
+    rows = np.arange(600)
+    run = replace(run_of(AXIS, 60.0, "open", "pulses", 600 / AXIS.sample_rate), accel=np.floor(rows / 100.0))
+    rig = Rig.model_validate(SFLR)
+    quiet = dataset(rig, [run]).records[0].share[1]
+    assert quiet.sum() == pytest.approx(rounding_shares(run.accel).sum()) and quiet.sum() < 30.0
+    noise = np.round(2.0 * np.random.default_rng(1).standard_normal(600))
+    assert dataset(rig, [replace(run, accel=run.accel + noise)]).records[0].share[1].sum() == 600.0
 
 
 def test_runs_share_a_zero_only_where_they_say_so() -> None:
