@@ -183,7 +183,7 @@ class Dataset:
         beyond it USUAL_SPEED."""
         rows = max(math.ceil(FIRST * self.rig.sample_rate), 1)
         moved = np.concatenate([run.encoder[rows:] - run.encoder[:-rows] for run in self.runs])
-        square = float(np.mean(moved**2)) - 2.0 * self.sigma[0] ** 2
+        square = (float(np.mean(moved**2)) if moved.size else 0.0) - 2.0 * self.sigma[0] ** 2
         return math.sqrt(square) / rows * self.rig.sample_rate * self.rig.angle_per_count if square > 0 else USUAL_SPEED
 
     @property
