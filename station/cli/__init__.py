@@ -101,7 +101,7 @@ class _Interruption:
     def _unraisable(self, lost: sys.UnraisableHookArgs) -> None:
         if isinstance(lost.exc_value, KeyboardInterrupt):
             threading.Thread(target=self._again, daemon=True).start()
-        else:
+        elif not self.came:     # else of what Ctrl-C left half made, as LLVM's values
             self._hook(lost)
 
     def _again(self) -> None:

@@ -61,6 +61,25 @@ def test_an_interrupt_that_a_callback_swallows_is_raised_again(busy, monkeypatch
     assert interruption.came
 
 
+@pytest.mark.parametrize("came", [False, True])
+def test_what_an_interrupt_left_half_made_says_nothing_when_it_is_thrown_away(came, monkeypatch):
+    """LLVM's values say what their half-made selves lack; without an interrupt that is a fault, and is told."""
+    told = []
+    monkeypatch.setattr(sys, "unraisablehook", told.append)
+    interruption = _Interruption()
+
+    class HalfMade:
+        def __del__(self) -> None:
+            raise AttributeError("half made")
+
+    try:
+        interruption.came = came
+        HalfMade()
+    finally:
+        interruption.end()
+    assert len(told) == (not came)
+
+
 def test_an_interrupt_that_an_import_swallowed_is_heard_before_a_motor_is_armed(tmp_path):
     from station.cli.run import perform
     from station.device.client import Client

@@ -171,5 +171,5 @@ def test_loopback_measures_a_device_clock_that_is_off(rows, tmp_path):
 
 
 def test_loopback_at_a_rate_that_the_device_has_not(rows):
-    with open_port("sim://sflr") as port, pytest.raises(UsageError, match="500 to 500 Hz, not at 1000"):
+    with open_port("sim://sflr") as port, pytest.raises(UsageError, match="the device runs at 500 Hz, not at 1000"):
         loopback(port, rate=1000.0)
