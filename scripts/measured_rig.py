@@ -33,7 +33,6 @@ from station.estimation.constants import ROUNDS, base_fit
 from station.estimation.dataset import dataset
 from station.estimation.fitted import weighing_of
 from station.estimation.least_squares import fit
-from station.estimation.loaded import PREPARE
 from station.estimation.observer import observers
 from station.estimation.pool import Pool
 from station.estimation.prediction import Predictor
@@ -98,7 +97,7 @@ def held_alike(result: DiagnosisResult) -> list[Simulation]:
     """Every run by the linear rig that suits the others best with one value of each constant for all of them."""
     with threadpool_limits(1):
         data = dataset(result.rig, [row.run for row in result.comparisons])
-        predictor = Predictor(data, observers(data.rig, data.noise[0]), Pool(1, PREPARE))
+        predictor = Predictor(data, observers(data.rig, data.noise[0]), Pool())
         found = base_fit(predictor)
         for _ in range(ROUNDS):
             weighing = replace(weighing_of(predictor, found), differ=(0.0, 0.0))

@@ -12,13 +12,14 @@ answer the readings, and g is that loop's.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from station.errors import WorkError
-from station.estimation.prediction import Predictor, predict_run
-from station.model.simulate import Model, build
+from station.estimation.parameters import Hypothesis, parameters
+from station.estimation.prediction import Predictor
 
 SURE = 0.5
 """Correlation from which on a sign is certain: tests of the measured rigs have 0.91 or more for the angle and 0.67 for
@@ -26,6 +27,8 @@ the acceleration, those of some hundred made rigs 0.08 (most above 0.6) and 0.5 
 UNIT, UNLIKELY = 30.0, 3.0
 """Factors by which a gain is off that no rig has (a radian is 57 degrees, a thousandth a thousand), and that no rig has
 whose constants are wrong by their usual uncertainty (gain and inertia by 30 % each are off by 2.9 at 2.5 sigmas)."""
+IDLE = np.array([0.0, 0.0, -1.0, 0.0])
+"""What a run has of its own (``Dataset.own``) less where the motor does nothing of its command."""
 READINGS = ("angle", "acceleration")
 MENDED = "mend the rig file, or the column of the log"
 SCALES = {"angle": "counts and not rad or degrees, encoder.counts_per_revolution, motor.gain in N m per count, "
@@ -53,31 +56,32 @@ class Answer:
 
 
 def answers(predictor: Predictor) -> list[Answer]:
-    """Of every run that drives the rig, the angle first."""
-    model = build(predictor.data.rig, *predictor.accuracy[:2])
+    """Of every run that drives the rig, the angle first.
+
+    The angle's block is that of the quickest observer, the acceleration's the last.
+    """
+    data = predictor.data
+    space = parameters(data, Hypothesis(), {})
+    driven, still = (predictor.runs(space, space.mean, data.own + more) for more in (0.0, IDLE))
     found = []
-    for r, run in enumerate(predictor.data.runs):
+    for r, (run, record) in enumerate(zip(data.runs, data.records, strict=True)):
         if run.open_loop or np.ptp(run.reference) > 0.0:
-            found += _answers(predictor, model, r)
+            for reading, block in zip(READINGS, (0, -1)[: data.channels], strict=False):
+                made, read, idle = (rows[block, record.window] for rows in (driven[r], predictor.measured(r), still[r]))
+                gain, sureness = _regressed(made, read, idle, block == -1)
+                if math.isfinite(gain) and math.isfinite(sureness):
+                    found.append(Answer(run.name, reading, gain, sureness))
     return found
 
 
-def _answers(predictor: Predictor, model: Model, r: int) -> list[Answer]:
-    data, record = predictor.data, predictor.data.records[r]
-    idle = data.own[r] + np.array([0.0, 0.0, -1.0, 0.0])
-    driven, still = (predict_run(data, model, predictor.observers, r, own)[0] for own in (data.own[r], idle))
-    found = []
-    for channel, horizon in enumerate((0, -1)[: data.channels]):
-        apart = (driven - still)[horizon, channel, record.window]
-        read = record.measured[channel, record.window] - still[horizon, channel, record.window]
-        if channel:
-            apart, read = apart - apart.mean(), read - read.mean()
-        with np.errstate(all="ignore"):
-            square = float(apart @ apart)
-            gain, sureness = float(apart @ read) / square, float(apart @ read) / np.sqrt(square * float(read @ read))
-        if np.isfinite(gain) and np.isfinite(sureness):
-            found.append(Answer(data.runs[r].name, READINGS[channel], gain, float(sureness)))
-    return found
+def _regressed(driven: np.ndarray, read: np.ndarray, still: np.ndarray, about_means: bool) -> tuple[float, float]:
+    """g and r of y(1), y and y(0) (n), ``about_means`` where a reading's zero is not known; not finite where nothing is
+    told, or a simulation has run off."""
+    with np.errstate(all="ignore"):
+        d, e = driven - still, read - still
+        if about_means:
+            d, e = d - d.mean(), e - e.mean()
+        return float(d @ e / (d @ d)), float(d @ e / np.sqrt((d @ d) * (e @ e)))
 
 
 def refuse_wrong_signs_and_units(found: list[Answer]) -> None:

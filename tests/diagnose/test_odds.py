@@ -142,6 +142,16 @@ def test_leaving_out_the_one_run_that_shows_a_cause_counts_against_it() -> None:
     assert found.stability[FRICTION] == pytest.approx((3 + RESAMPLES) / (4 + RESAMPLES))
 
 
+def test_stability_is_a_count_over_a_count() -> None:
+    """Sums of 1/n are below or above it by rounding, and 0.8 is a threshold."""
+    rng = np.random.default_rng(3)
+    scores = {frozenset(): np.zeros(20), frozenset({FRICTION}): rng.standard_normal(20)}
+    found = odds(searched(scores))
+    many, named = len(found.resampled), sum(FRICTION in keys for keys in found.resampled)
+    assert 0 < named < many
+    assert found.stability[FRICTION] == found.laws[FRICTION[0]] == named / many
+
+
 def test_rivals_of_which_each_wins_half_of_the_draws_share_the_odds() -> None:
     one = np.tile([8.0, 0.0], 10)
     found = odds(searched({frozenset(): np.full(20, -9.0), frozenset({FRICTION}): one,
