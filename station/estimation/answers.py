@@ -21,10 +21,10 @@ from station.errors import WorkError
 from station.estimation.parameters import Hypothesis, parameters
 from station.estimation.prediction import Predictor
 
-SURE = 0.5
+CORRELATED = 0.5
 """Correlation from which on a sign is certain: tests of the measured rigs have 0.91 or more for the angle and 0.67 for
 the acceleration, those of some hundred made rigs 0.08 (most above 0.6) and 0.5 at least, none less than 0."""
-UNIT, UNLIKELY = 30.0, 3.0
+IMPOSSIBLE, SUSPECT = 30.0, 3.0
 """Factors by which a gain is off that no rig has (a radian is 57 degrees, a thousandth a thousand), and that no rig has
 whose constants are wrong by their usual uncertainty (gain and inertia by 30 % each are off by 2.9 at 2.5 sigmas)."""
 IDLE = np.array([0.0, 0.0, -1.0, 0.0])
@@ -48,11 +48,11 @@ class Answer:
     @property
     def against(self) -> bool:
         """Whether it moves the other way, by about as much."""
-        return self.sureness < -SURE and not self.off_by(UNIT)
+        return self.sureness < -CORRELATED and not self.off_by(IMPOSSIBLE)
 
     def off_by(self, factor: float) -> bool:
         """Whether it moves so many times as much, or as little, whichever way."""
-        return abs(self.sureness) > SURE and not 1.0 / factor < abs(self.gain) < factor
+        return abs(self.sureness) > CORRELATED and not 1.0 / factor < abs(self.gain) < factor
 
 
 def answers(predictor: Predictor) -> list[Answer]:
@@ -87,7 +87,7 @@ def _regressed(driven: np.ndarray, read: np.ndarray, still: np.ndarray, about_me
 def refuse_wrong_signs_and_units(found: list[Answer]) -> None:
     """WorkError where a reading answers the other way, or so much that its unit must be another."""
     for one in found:
-        if one.off_by(UNIT):
+        if one.off_by(IMPOSSIBLE):
             raise WorkError(f"{one.run}: the {one.reading} answers commands {abs(one.gain):.2g} times as much as the "
                             f"rig file says: a unit is wrong ({SCALES[one.reading]}); {MENDED}")
     turned = {one.reading: one for one in reversed(found) if one.against}
@@ -104,8 +104,8 @@ def unlikely(found: list[Answer]) -> list[str]:
     """A sentence for each reading that answers most runs much more or less than the rig file says."""
     said = []
     for reading in READINGS:
-        gains = [one.gain for one in found if one.reading == reading and one.sureness > SURE]
-        if gains and not 1.0 / UNLIKELY < (gain := float(np.median(gains))) < UNLIKELY:
+        gains = [one.gain for one in found if one.reading == reading and one.sureness > CORRELATED]
+        if gains and not 1.0 / SUSPECT < (gain := float(np.median(gains))) < SUSPECT:
             said.append(f"the {reading} answers the commands {gain:.2g} times as much as the rig file says; if that is "
                         f"a unit or a scale ({SCALES[reading]}), mend it")
     return said

@@ -28,6 +28,8 @@ for program in (QEMU, GCC):
         pytest.skip(f"no {program} here", allow_module_level=True)
 
 RIG = load_rig("sflr")
+SLOWER = RIG.model_copy(update={"sample_rate": 200.0})
+"""For hosts in real time, which a busy machine starves of its 2 ms; ten ticks are the most that 50 ms hold."""
 SAMPLE, COMMAND = MESSAGES["sample"], MESSAGES["command"]
 WATCHDOG_SECONDS = 0.1
 
@@ -63,8 +65,7 @@ class Watched:
         self.client = Client(self.port)
 
     def start(self):
-        self.client.identify()
-        self.client.configure(500.0, 200)
+        self.client.configure(self.client.identify().rate_max, 200)
         self.client.arm()
         self.client.start()
 
@@ -121,7 +122,7 @@ def off(word):
 
 @pytest.fixture
 def paced():
-    with Emulator(RIG, Options(speed=1, seed=1)) as emulator:
+    with Emulator(SLOWER, Options(speed=1, seed=1)) as emulator:
         yield emulator
 
 
@@ -143,7 +144,7 @@ def started(emulator, ticks=3):
             watched.mark = len(watched.words)
             return watched
         watched.port.close()
-    raise AssertionError("the machine is too busy to drive the board for 6 ms")
+    raise AssertionError("the machine is too busy to drive the board for 15 ms")
 
 
 def test_a_silent_host_is_off_after_the_stated_ticks(lockstep):
@@ -229,8 +230,7 @@ with open_port(sys.argv[1]) as port:
     while True:
         if client.identify().state == State.FAULT:
             client.clear()
-            client.identify()
-        client.configure(500.0, 200)
+        client.configure(client.identify().rate_max, 200)
         client.arm()
         client.start()
         bodies = list(client.inbox)

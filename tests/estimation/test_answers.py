@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from station.errors import WorkError
-from station.estimation.answers import SURE, UNLIKELY, Answer, answers, refuse_wrong_signs_and_units, unlikely
+from station.estimation.answers import CORRELATED, SUSPECT, Answer, answers, refuse_wrong_signs_and_units, unlikely
 from station.fit import fit
 from station.rig import Rig
 from station.runs.run import Run
@@ -43,8 +43,8 @@ def test_of_a_rig_that_is_as_its_file_says_nothing_is_told(shape: str) -> None:
     found = answers(predictions(rig, runs))
     assert {one.run for one in found} == {run.name for run in runs}
     assert {one.reading for one in found} == ({"angle", "acceleration"} if rig.accelerometer else {"angle"})
-    assert all(one.sureness > 0.0 for one in found) and np.median([one.sureness for one in found]) > SURE
-    assert all(1.0 / UNLIKELY < one.gain < UNLIKELY for one in found if one.sureness > SURE)
+    assert all(one.sureness > 0.0 for one in found) and np.median([one.sureness for one in found]) > CORRELATED
+    assert all(1.0 / SUSPECT < one.gain < SUSPECT for one in found if one.sureness > CORRELATED)
     refuse_wrong_signs_and_units(found)
     assert unlikely(found) == []
 
