@@ -34,6 +34,8 @@ WANTED = {"full": (12.0, 45.0), "quick": (6.0, 12.0)}
 """Median and 95th percentile of the wall seconds, by effort."""
 SEEDS = 100
 """Most that are tried for a case."""
+KEPT = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+"""The environment in which what is imported is kept compiled, as ``scripts/_setup.py`` has it."""
 TIMED = """
 import json, resource, subprocess, sys, time
 start = time.perf_counter()
@@ -69,7 +71,7 @@ print(json.dumps({"calls": calls, "predictions": spent, "cpu": time.process_time
 def timed(arguments: list[str]) -> tuple[float, float, float]:
     """Wall seconds, CPU seconds and peak memory (MB) of a fresh process."""
     command = [sys.executable, "-c", TIMED, *arguments]
-    done = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True)
+    done = subprocess.run(command, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True, env=KEPT)
     wall, spent, peak = json.loads(done.stdout)
     return wall, spent, peak / (2**20 if sys.platform == "darwin" else 2**10)
 
