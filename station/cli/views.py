@@ -1,4 +1,4 @@
-"""Seeing runs: the Rerun viewer."""
+"""Seeing runs: the Rerun viewer, and a page of them beside their simulations."""
 
 from __future__ import annotations
 
@@ -10,10 +10,14 @@ from typing import Annotated
 import typer
 
 from station.cli.options import Overwrite, RunFiles, command, load_runs, need_outputs, rig_of, tell_unknown
-from station.cli.terminal import say
+from station.cli.terminal import progress, say
 from station.errors import UsageError
 
 app = typer.Typer()
+OneRig = Annotated[str | None, typer.Option("--rig", metavar="RIG", help=(
+    "Rig that each run is simulated on; by default the one that the first run holds."))]
+Extended = Annotated[str | None, typer.Option("--extended", metavar="RIG", help=(
+    "A second rig beside it: the one that `station diagnose --save-rig` wrote."))]
 
 
 def status_names() -> dict[int, str]:
@@ -26,11 +30,7 @@ def status_names() -> dict[int, str]:
 
 @command(app, "view", "Runs", "station view step.mcap sweep.mcap --rig sflr --save runs.rrd")
 def view(
-    runs: RunFiles,
-    rig: Annotated[str | None, typer.Option("--rig", metavar="RIG", help=(
-        "Rig that each run is simulated on; by default the one that the first run holds."))] = None,
-    extended: Annotated[str | None, typer.Option("--extended", metavar="RIG", help=(
-        "A second rig beside it: the one that `station diagnose --save-rig` wrote."))] = None,
+    runs: RunFiles, rig: OneRig = None, extended: Extended = None,
     save: Annotated[Path | None, typer.Option("--save", metavar="FILE", help=(
         "Write a Rerun recording (.rrd) instead of opening the viewer."))] = None,
     web: Annotated[bool, typer.Option("--web", help="Open in the browser, served on 127.0.0.1 alone.")] = False,
@@ -55,9 +55,43 @@ def view(
                     status_names=status_names())
     if save is not None:
         write(save)
-        say(f"{save}: {len(loaded)} runs")
+        say(f"{save}: {len(loaded)} run{'' if len(loaded) == 1 else 's'}")
         return
     with tempfile.TemporaryDirectory(prefix="station-") as folder:
         recording = Path(folder) / "runs.rrd"
         write(recording)
         open_viewer([recording], web=web)
+
+
+@command(app, "report", "Runs", "station report step.mcap --rig sflr --extended my_rig.toml --out report.html")
+def report(
+    runs: RunFiles,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Page to write (.html); it needs no network.")],
+    rig: OneRig = None, extended: Extended = None, overwrite: Overwrite = False,
+) -> None:
+    """Write a page of runs beside their simulations: errors, the steps' overshoot, rise and settling, each run drawn.
+
+    Nothing is fitted. That of a diagnosis is written by `station diagnose --report`.
+    """
+    from station.diagnose.compare import compare
+    from station.rig import load_rig
+    from station.runs.store import file_hash
+    from station.view.beside import beside_html
+    from station.view.html import write_page
+
+    need_outputs(out, overwrite=overwrite, inputs=[rig, extended, *runs])
+    if out.suffix.lower() not in (".html", ".htm"):
+        raise UsageError(f"--out {out}: a page's name ends in .html")
+    nominal = None if rig is None else load_rig(rig)
+    loaded = load_runs(runs, nominal)
+    tell_unknown(runs, loaded)
+    models = {"rig of the run" if rig is None else Path(rig).name: nominal or rig_of(loaded[0], runs[0])}
+    if extended is not None:
+        name = Path(extended).name      # where a file lies is nobody's business on a page that is shared
+        models[f"extended {name}" if name in models else name] = load_rig(extended)
+    compared = {}
+    for name, model in models.items():
+        with progress(f"simulating the tests by {name}") as update:
+            compared[name] = compare(model, loaded, update)
+    write_page(out, beside_html(compared, [file_hash(path) for path in runs]))
+    say(f"{out}: {len(loaded)} run{'' if len(loaded) == 1 else 's'}")

@@ -6,7 +6,9 @@ roles differ by dash and symbol too, so that no figure needs colour to be read.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from html import escape
+from types import MappingProxyType
 
 import numpy as np
 import plotly.graph_objects as go
@@ -16,6 +18,7 @@ from scipy import signal
 from station.diagnose.result import DiagnosisResult, Prediction, RunComparison
 from station.model.simulate import Simulation
 from station.pictures.picture import Evidence
+from station.runs.run import Run
 from station.view.labels import place_labels
 from station.view.residuals import Residual
 from station.view.wording import CHANNELS, plain
@@ -80,23 +83,37 @@ def hero(comparison: RunComparison, channel: str) -> go.Figure:
     return figure
 
 
-def points_per_line(comparisons: list[RunComparison]) -> int:
-    """Points that a line of a run may have: all lines of all runs share BUDGET."""
-    lines = sum(len(c.channels) * (1 + 2 * len(simulations(c))) for c in comparisons)
+def points_per_line(lines: int) -> int:
+    """Points that a line of a run may have, where all runs' lines together are so many: they share BUDGET."""
     return max(LEAST, BUDGET // (_POINT * max(lines, 1)))
 
 
-def run_figure(comparison: RunComparison, limit: int = MAX_POINTS) -> go.Figure:
-    """One run: each channel measured and simulated, and under it the residual before and after."""
-    run, names = comparison.run, comparison.channels
-    figure = _pairs(names, "measured − simulated", run.t)
-    for index, channel in enumerate(names):
+def channels_of(run: Run, drawn: Mapping[str, Simulation]) -> list[str]:
+    """The channels that a run and all simulations beside it have."""
+    return [c for c in CHANNELS if all(getattr(one, c) is not None for one in (run, *drawn.values()))]
+
+
+def lines_of(run: Run, drawn: Mapping[str, Simulation]) -> int:
+    """Lines of its figure."""
+    return len(channels_of(run, drawn)) * (1 + 2 * len(drawn))
+
+
+def run_figure(run: Run, drawn: Mapping[str, Simulation], limit: int = MAX_POINTS,
+               names: Mapping[str, str] = MappingProxyType({})) -> go.Figure:
+    """One run: each channel measured and simulated, and under it the residuals of the simulations, ``drawn`` by role.
+
+    ``names``: of roles, where they are not those of ROLES.
+    """
+    channels = channels_of(run, drawn)
+    figure = _pairs(channels, "measured − simulated", run.t)
+    for index, channel in enumerate(channels):
         measured = getattr(run, channel)
         figure.add_trace(_line(run.t, measured, "measured", *ROLES["measured"], legend=index == 0, limit=limit),
                          row=2 * index + 1, col=1)
-        for role, simulation in simulations(comparison).items():
-            simulated, (name, dash, _) = getattr(simulation, channel), ROLES[role]
-            figure.add_trace(_line(run.t, simulated, role, *ROLES[role], legend=index == 0, limit=limit),
+        for role, simulation in drawn.items():
+            simulated, (name, dash, width) = getattr(simulation, channel), ROLES[role]
+            name = escape(names.get(role, name))
+            figure.add_trace(_line(run.t, simulated, role, name, dash, width, legend=index == 0, limit=limit),
                              row=2 * index + 1, col=1)
             figure.add_trace(_line(run.t, measured - simulated, role, name, dash, 1.2, legend=False, limit=limit),
                              row=2 * index + 2, col=1)

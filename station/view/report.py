@@ -108,9 +108,10 @@ class _Page:
         for index, evidence in enumerate(result.evidence):
             if evidence.drawn:
                 self.figures[f"evidence-{index}"] = figures.evidence_figure(evidence)
-        self.points = figures.points_per_line(result.comparisons)
-        for index, comparison in enumerate(result.comparisons):
-            self.figures[f"run-{index}"] = figures.run_figure(comparison, self.points)
+        drawn = [(comparison.run, figures.simulations(comparison)) for comparison in result.comparisons]
+        self.points = figures.points_per_line(sum(figures.lines_of(*one) for one in drawn))
+        for index, one in enumerate(drawn):
+            self.figures[f"run-{index}"] = figures.run_figure(*one, self.points)
         if self.residuals:
             self.figures["spectrum"] = figures.spectrum_figure(self.residuals, result.rig.sample_rate)
             self.figures["whiteness"] = figures.whiteness_figure(self.residuals)

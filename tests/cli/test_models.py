@@ -13,6 +13,7 @@ from station.cli.models import app, comparison_table
 from station.fit.estimate import HELD
 from station.rig import builtin_rigs, load_rig
 from station.runs import Run, export_run, load_run
+from station.runs.store import file_hash
 from tests.cli.conftest import step_run
 from tests.measured import measured_log
 
@@ -204,3 +205,18 @@ def test_the_help_says_what_a_fit_holds():
     (hold,) = (parameter for parameter in typer.main.get_command(app).commands["fit"].params
                if parameter.name == "hold")
     assert all(constant in hold.help for constant in HELD)
+
+
+def test_report_draws_runs_beside_their_own_rig_and_a_second_one(station, step, tmp_path):
+    page, again = tmp_path / "page.html", tmp_path / "again.html"
+    better = tmp_path / "folder" / "better.toml"
+    better.parent.mkdir()
+    better.write_text(builtin_rigs()["sflr"])
+    ended = station("report", step, "--extended", better, "--out", page)
+    assert ended.status == 0 and ended.out == f"{page}: 1 run\n"
+    text = page.read_text(encoding="utf-8")
+    assert "as rig of the run simulates it" in text and "as better.toml simulates it" in text
+    assert str(tmp_path) not in text and file_hash(step) in text
+    assert station("report", step, "--rig", "sflr", "--out", again).status == 0
+    assert "<h1>1 run: the angle is off by" in again.read_text(encoding="utf-8")
+    assert "a page's name ends in .html" in station("report", step, "--out", tmp_path / "page.pdf").one_line()

@@ -14,6 +14,7 @@ WRITES = {
     "fit": ("--save-rig", "--json"),
     "bode": ("--out",),
     "view": ("--save",),
+    "report": ("--out",),
     "simulate": ("--out",),
     "export": ("--out",),
     "import": ("--out",),
@@ -38,7 +39,7 @@ def arguments(step, tmp_path):
 
 @pytest.mark.parametrize(("name", "option"), [(name, option) for name, options in WRITES.items() for option in options])
 def test_a_file_that_is_there_stays_as_it_is(station, arguments, tmp_path, name, option):
-    there = tmp_path / f"there{'.svg' if name == 'bode' else ENDINGS[option]}"
+    there = tmp_path / f"there{ {'bode': '.svg', 'report': '.html'}.get(name, ENDINGS[option])}"
     there.write_bytes(b"mine")
     ended = station(name, *arguments[name], option, there)
     assert ended.status == 1 and f"{there}: exists already; --overwrite replaces it" in ended.one_line()

@@ -61,7 +61,8 @@ def test_the_autocorrelation_is_what_its_definition_says() -> None:
 
 
 def test_an_even_line_says_its_places_once_and_whole_numbers_take_two_bytes() -> None:
-    figure = figures.run_figure(made.comparisons()[0])
+    comparison = made.comparisons()[0]
+    figure = figures.run_figure(comparison.run, figures.simulations(comparison))
     line = figure.data[0]
     assert line.x is None and (line.x0, line.dx) == (0.0, pytest.approx(0.002))
     assert line.y.dtype == np.int16 and np.all(line.y == made.comparisons()[0].run.encoder)
