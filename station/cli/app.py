@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 import station
-from station.cli import campaign, demo, devices, diagnosis, files, investigate, models, run, unseal, views
+from station.cli import bench, campaign, demo, devices, diagnosis, files, investigate, models, run, unseal, views
 
 
 def build() -> typer.Typer:
@@ -19,7 +19,7 @@ def build() -> typer.Typer:
         context_settings={"help_option_names": ["-h", "--help"]},
         epilog="Start here: station demo. Every command has its own --help with an example.")
     app.callback()(_options)
-    for group in (demo, unseal, devices, run, files, views, models, diagnosis, investigate, campaign):
+    for group in (demo, unseal, devices, bench, run, files, views, models, diagnosis, investigate, campaign):
         app.add_typer(group.app)
     return app
 

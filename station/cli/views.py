@@ -9,8 +9,8 @@ from typing import Annotated
 
 import typer
 
-from station.cli.options import Overwrite, RunFiles, command, load_runs, need_outputs, rig_of, tell_unknown
-from station.cli.terminal import progress, say
+from station.cli.options import Json, Overwrite, RunFiles, command, load_runs, need_outputs, rig_of, tell_unknown
+from station.cli.terminal import as_json, progress, say
 from station.errors import UsageError
 
 app = typer.Typer()
@@ -67,7 +67,7 @@ def view(
 def report(
     runs: RunFiles,
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Page to write (.html); it needs no network.")],
-    rig: OneRig = None, extended: Extended = None, overwrite: Overwrite = False,
+    rig: OneRig = None, extended: Extended = None, json: Json = None, overwrite: Overwrite = False,
 ) -> None:
     """Write a page of runs beside their simulations: errors, the steps' overshoot, rise and settling, each run drawn.
 
@@ -79,7 +79,7 @@ def report(
     from station.view.beside import beside_html
     from station.view.html import write_page
 
-    need_outputs(out, overwrite=overwrite, inputs=[rig, extended, *runs])
+    need_outputs(out, json, overwrite=overwrite, inputs=[rig, extended, *runs])
     if out.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"--out {out}: a page's name ends in .html")
     nominal = None if rig is None else load_rig(rig)
@@ -94,4 +94,6 @@ def report(
         with progress(f"simulating the tests by {name}") as update:
             compared[name] = compare(model, loaded, update)
     write_page(out, beside_html(compared, [file_hash(path) for path in runs]))
+    if as_json(json, {"file": out, "simulated": {name: one.measures for name, one in compared.items()}}):
+        return
     say(f"{out}: {len(loaded)} run{'' if len(loaded) == 1 else 's'}")

@@ -219,4 +219,8 @@ def test_report_draws_runs_beside_their_own_rig_and_a_second_one(station, step, 
     assert str(tmp_path) not in text and file_hash(step) in text
     assert station("report", step, "--rig", "sflr", "--out", again).status == 0
     assert "<h1>1 run: the angle is off by" in again.read_text(encoding="utf-8")
+    told = json.loads(station("report", step, "--extended", better, "--out", page, "--overwrite", "--json", "-").out)
+    assert told["file"] == str(page)
+    assert told["simulated"]["better.toml"] == json.loads(station("compare", step, "--rig", better,
+                                                                  "--json", "-").out)["runs"]
     assert "a page's name ends in .html" in station("report", step, "--out", tmp_path / "page.pdf").one_line()
