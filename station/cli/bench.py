@@ -60,7 +60,7 @@ def bench(
         return
     shown = table(f"A step of {TEST['duration']:g} s, {len(run)} samples", "job", "us a sample", "times real time")
     for one in found:
-        row(shown, one["job"], number(1e6 * one["seconds_per_sample"]), number(one["times_real_time"], 4))
+        row(shown, one["job"], number(1e6 * one["seconds_per_sample"]), f"{one['times_real_time']:,.0f}")
     console().print(shown)
     say(f"Answers in real time at {paced.rate:g} Hz, of the tick's {1e3 * period:g} ms: "
         + ", ".join(f"{words} {number(100.0 * value / period)} %" for words, value in
