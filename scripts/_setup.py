@@ -12,6 +12,8 @@ ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / ".venv"
 LOCK = ROOT / "requirements.lock"
 COMPILERS = ("cc", "gcc", "clang")
+KEPT = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+"""What is imported is kept compiled in .venv, whatever the shell says: else every start takes 3 s more."""
 
 
 def stop(message):
@@ -94,12 +96,8 @@ def prepare():
 
 
 def run(*arguments):
-    """Run a module of the prepared environment and end with its exit status.
-
-    What is imported is kept compiled in .venv, whatever the shell says: else every start takes 3 s more.
-    """
-    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    process = subprocess.Popen([prepare(), "-m", *arguments], env=kept)
+    """Run a module of the prepared environment and end with its exit status."""
+    process = subprocess.Popen([prepare(), "-m", *arguments], env=KEPT)
     while True:
         try:
             sys.exit(process.wait())

@@ -26,6 +26,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
+from scripts._setup import KEPT  # noqa: E402
 from station.runs import export_run  # noqa: E402
 from tests.diagnose.blind import blind_task, made  # noqa: E402
 from tests.truth.cases import Case  # noqa: E402
@@ -34,8 +35,6 @@ WANTED = {"full": (12.0, 45.0), "quick": (6.0, 12.0)}
 """Median and 95th percentile of the wall seconds, by effort."""
 SEEDS = 100
 """Most that are tried for a case."""
-KEPT = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-"""The environment in which what is imported is kept compiled, as ``scripts/_setup.py`` has it."""
 TIMED = """
 import json, resource, subprocess, sys, time
 start = time.perf_counter()

@@ -69,7 +69,7 @@ def tell_lacks(path: Path, run: Run) -> None:
 def tell_unknown(paths: list[Path], runs: list[Run]) -> None:
     """Say on standard error which closed loops cannot be simulated, for nothing says what closed them."""
     for path, run in zip(paths, runs, strict=True):
-        if run.metadata.controller.get("kind") == "unknown" and not run.open_loop:
+        if run.loop_unknown:
             note(f"{path}: the log does not say what closed its loop, so its commands are followed as logged, not "
                  "worked out from its reference, and the simulated angle drifts: its error says little; name the "
                  'controller, in a CSV as # controller = {"kind": "p", "gain": 2.0} (kinds: docs/other_rig.md)')

@@ -210,6 +210,11 @@ class Run:
         return kind == "open" or (kind == "unknown" and np.array_equal(self.command, self.reference))
 
     @property
+    def loop_unknown(self) -> bool:
+        """Whether a loop was closed, and nothing says by what."""
+        return self.metadata.controller.get("kind") == "unknown" and not self.open_loop
+
+    @property
     def lost_samples(self) -> int:
         """Ticks between first and last row that the log does not have."""
         return 0 if self.n is None else int(self.n[-1] - self.n[0]) + 1 - len(self)

@@ -7,11 +7,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-
-import numpy as np
+from typing import Any
 
 from station.diagnose.compare import Comparison
-from station.diagnose.measures import nrmse, repeats, step_figures
+from station.diagnose.measures import repeats, step_figures
 from station.model.simulate import Simulation
 from station.runs.run import Run
 from station.view import figures, wording
@@ -54,9 +53,9 @@ def beside_html(compared: Mapping[str, Comparison], hashes: Sequence[str | None]
     points = figures.points_per_line(sum(map(figures.lines_of, runs, drawn)))
     pictures = {f"run-{r}": figures.run_figure(run, made, points, roles)
                 for r, (run, made) in enumerate(zip(runs, drawn, strict=True))}
-    rows = [_row(run, made, {role: one.rows[r] for role, one in by_role.items()}, spread, sha256)
-            for r, (run, made, spread, sha256) in enumerate(
-                zip(runs, drawn, repeats(runs), hashes or [None] * len(runs), strict=True))]
+    measured = [dict(zip(by_role, found, strict=True))
+                for found in zip(*(one.measures for one in by_role.values()), strict=True)]
+    rows = list(map(_row, runs, drawn, measured, repeats(runs), hashes or [None] * len(runs)))
     rigs = {name: (text := one.rig.to_toml(), hashlib.sha256(text.encode()).hexdigest())
             for name, one in compared.items()}
     return render("beside.html.j2", figures=pictures, rows=rows, roles=roles, rigs=rigs, points=points,
@@ -64,16 +63,15 @@ def beside_html(compared: Mapping[str, Comparison], hashes: Sequence[str | None]
                   sentence=_sentence(rows, roles), written=(written or datetime.now(UTC)).astimezone(UTC))
 
 
-def _row(run: Run, made: Mapping[str, Simulation], counted: Mapping[str, np.ndarray], spread: dict[str, float],
+def _row(run: Run, made: Mapping[str, Simulation], measured: Mapping[str, dict[str, Any]], spread: dict[str, float],
          sha256: str | None) -> Row:
-    """One run; ``counted``: by role the rows (n) by which a simulation is judged."""
-    errors = {channel: {role: nrmse(getattr(run, channel)[counted[role]], getattr(one, channel)[counted[role]])
-                        for role, one in made.items()} for channel in figures.channels_of(run, made)}
+    """One run; ``measured``: by role, as ``compare --json`` has it."""
+    errors = {channel: {role: one[channel]["nrmse"] for role, one in measured.items()}
+              for channel in figures.channels_of(run, made)}
     about = run.metadata
-    return Row(run.name, wording.test_words(about.test), wording.test_words(about.controller),
-               about.controller.get("kind") == "unknown" and not run.open_loop, len(run), sha256, errors,
-               step_figures(run, run.encoder), {role: step_figures(run, one.encoder) for role, one in made.items()},
-               spread)
+    return Row(run.name, wording.test_words(about.test), wording.test_words(about.controller), run.loop_unknown,
+               len(run), sha256, errors, step_figures(run, run.encoder),
+               {role: step_figures(run, one.encoder) for role, one in made.items()}, spread)
 
 
 def _sentence(rows: Sequence[Row], roles: Mapping[str, str]) -> str:
