@@ -23,7 +23,7 @@ from station.diagnose.screening import Screened, screen
 from station.diagnose.starts import Start, attempted, far_starts, rigid_starts
 from station.diagnose.thresholds import CLOSE, LOG_PRIOR, LOG_PRIOR_PARAMETER, WORTH_A_FIT
 from station.estimation.cause import Causes, Key, Sizes, is_constant
-from station.estimation.constants import base_fit, in_step, settled
+from station.estimation.constants import base_fit, in_step, settled, told_again
 from station.estimation.fitted import MOST_GAINED, Fit, weighing_of
 from station.estimation.least_squares import FAR, fit, inherited
 from station.estimation.likelihood import Weighing
@@ -70,7 +70,7 @@ def log_prior(cause: Key) -> float:
 class Selection:
     """All fits by their set of causes, and what errors count for."""
 
-    predictor: Predictor
+    all_horizons: Predictor
     effort: Effort
     weighing: Weighing
     """In fits."""
@@ -89,6 +89,12 @@ class Selection:
     """The fit that was last looked back upon."""
     _weighed: WeakKeyDictionary[Fit, tuple[Weighing, float, float]] = field(default_factory=WeakKeyDictionary)
     """As sets are compared: each fit's own weighing, its evidence, and the price of its own."""
+
+    @property
+    def predictor(self) -> Predictor:
+        """At the horizons that count: output errors alone where nothing but noise is left, for an observer feeds the
+        sensors' noise back into what it predicts, by gains that are each hypothesis's own."""
+        return self.all_horizons.at_longest if self.complete else self.all_horizons
 
     @property
     def compared(self) -> Weighing:
@@ -147,7 +153,7 @@ class Selection:
     def clock_score(self, hypothesis: Hypothesis) -> float:
         """Log density of the clocks' own comparison, over the highest that it has where the board's clock is right; one
         that is off may be so by any ratio of its prior."""
-        data = self.predictor.data
+        data = self.all_horizons.data
         if data.clock is None:
             return 0.0
         ratio, sigma = data.clock
@@ -175,18 +181,23 @@ class Selection:
         if old is None or old is begun_at or self.score(found) > self.score(old):
             self.fits[found.key] = found.light
 
-    def weigh(self, found: Fit) -> None:
-        """Take what a fit leaves for what models of this rig leave; where that is noise, output errors alone count."""
-        self.complete = remainder(self.predictor, found).is_noise
-        self.weighing = weighing_of(self.predictor, found, self.counted)
+    def weigh(self, found: Fit) -> Fit:
+        """Take what a fit leaves for what models of this rig leave; the fit, with the blocks that count by that."""
+        complete = remainder(self.predictor, found).is_noise
+        if complete != self.complete:
+            found = self._counting(complete, found)
+        self.weighing = weighing_of(self.predictor, found)
         self.weighed_by = found.key
         self._weighed.clear()
+        return found
 
-    @property
-    def counted(self) -> np.ndarray | None:
-        """(b) the blocks that count: output errors alone where nothing but noise is left, for an observer feeds the
-        sensors' noise back into what it predicts, by gains that are each hypothesis's own."""
-        return self.predictor.longest if self.complete else None
+    def _counting(self, complete: bool, found: Fit) -> Fit:
+        """Have all fits tell of the blocks that count from here on; and one fit more, which is returned."""
+        self.complete = complete
+        seen = partial(Fit.only, blocks=self.all_horizons.longest) if complete else partial(told_again, self.predictor)
+        self.fits = {key: seen(one) for key, one in self.fits.items()}
+        self.looked_back = self.looked_back and seen(self.looked_back)
+        return seen(found)
 
     def judge(self) -> None:
         """From here on compare sets by what they predict from what was read just before, where that shows more than
@@ -220,8 +231,7 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
     beginnings = in_step(predictor, alone, alone.mean)
     parent = base_fit(predictor, beginnings)
     search = Selection(predictor, effort, parent.weighing)
-    search.weigh(parent)
-    search.keep(parent)
+    search.keep(search.weigh(parent))
     parent = _with_derivatives(search, search.fits[parent.key])
     pool = candidates(predictor.data.rig, predictor.data.speed)
     far = far_starts(predictor, pool, effort.finished, beginnings)
@@ -251,10 +261,9 @@ def _settle(search: Selection, best: Fit) -> Fit:
     """The best set, settled under the weighing that it gives, and its rivals fitted again: where the weighing changed
     theirs are not comparable."""
     rivals = search.close(1 + search.effort.finished)[1:]
-    best = settled(search.predictor, best, search.counted)
-    search.weigh(best)
+    best = search.weigh(settled(search.predictor, best))
     search.keep(best)
-    _refit(search, rivals, False)
+    _refit(search, [search.fits[rival.key] for rival in rivals], False)
     return best
 
 

@@ -91,7 +91,7 @@ def rigid_starts(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
     bent to make up for it leads back to a joint that yields, and so does one that is free before the others follow.
     Judged is the longest horizon alone, as in ``_profiles``.
     """
-    slow, sizes = replace(predictor, observers=predictor.observers[-1:]), parent.space.values(parent.space.mean)
+    slow, sizes = predictor.at_longest, parent.space.values(parent.space.mean)
 
     def held(candidate: Candidate, sigmas: float) -> _Held:
         path, nominal = candidate.constant, slow.data.rig.constants()
@@ -155,7 +155,7 @@ def _profiles(predictor: Predictor, constants: Sequence[Candidate]) -> list[tupl
     corrects what a rig far from the true one does as well as what another one does.
     """
     data = first_seconds(predictor.data, SECONDS)
-    part = replace(predictor, data=replace(data, rig=data.rig.with_fixed_mesh()), observers=predictor.observers[-1:])
+    part = predictor.at_longest.on(replace(data, rig=data.rig.with_fixed_mesh()))
     weighing = unknown(part)
 
     def profile(candidate: Candidate) -> tuple[float, float, Candidate]:

@@ -95,15 +95,21 @@ def unknown(predictor: Predictor) -> Weighing:
     return Weighing(PRIOR_SHARE * predictor.counts, 1.0, (share, constant))
 
 
-def settled(predictor: Predictor, found: Fit, counted: np.ndarray | None = None) -> Fit:
+def settled(predictor: Predictor, found: Fit) -> Fit:
     """A fit under the weighing that its own errors give (``weighing_of``)."""
     for _ in range(ROUNDS):
         before = found.weighing
-        now = weighing_of(predictor, found, counted)
+        now = weighing_of(predictor, found)
         found = fit(predictor, found.space, now, found.x, found.own, jacobian=found.jacobian)
         if np.all(np.abs(now.independent - before.independent) <= SETTLED_SHARE * before.independent):
             break
     return found
+
+
+def told_again(predictor: Predictor, found: Fit) -> Fit:
+    """A fit as other observers tell it, where it ended."""
+    weighing = replace(unknown(predictor), differ=found.weighing.differ)
+    return fit(predictor, found.space, weighing, found.x, found.own, iterations=0).light
 
 
 def cooled(predictor: Predictor, found: Fit) -> Weighing:

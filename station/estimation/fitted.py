@@ -109,6 +109,16 @@ class Fit(Point):
         """The same without derivatives, which take memory."""
         return replace(self, jacobian=None)
 
+    def only(self, blocks: np.ndarray) -> Fit:
+        """The same with some of its blocks, ``blocks`` (b): whether each is kept."""
+        info, jacobian, weighing = self.information, self.jacobian, self.weighing
+        return replace(
+            self, predicted=[y[blocks] for y in self.predicted], residuals=[e[blocks] for e in self.residuals],
+            squares=self.squares[:, blocks], counts=self.counts[:, blocks],
+            jacobian=jacobian and [j[:, blocks] for j in jacobian],
+            information=Information(*(each[:, blocks] for each in vars(info).values())),
+            weighing=replace(weighing, independent=weighing.independent[:, blocks]))
+
     def blocks(self, weighing: Weighing, drawn: np.ndarray | None = None) -> np.ndarray:
         """(..., runs, b) weights W of the blocks at this fit; ``drawn`` (..., s): how often each stretch counts in each
         resample."""

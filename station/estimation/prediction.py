@@ -176,6 +176,11 @@ class Predictor:
         return replace(self, data=data)
 
     @cached_property
+    def at_longest(self) -> Predictor:
+        """The same at the longest horizon alone."""
+        return replace(self, observers=self.observers[-1:])
+
+    @cached_property
     def channel(self) -> np.ndarray:
         """(b) the channel of every block."""
         return np.array([0] * len(self.observers) + [1] * (self.data.has_accel and bool(self.observers)), dtype=int)

@@ -17,6 +17,7 @@ from station.diagnose.thresholds import LOG_PRIOR, LOG_PRIOR_PARAMETER
 from station.estimation.least_squares import fit
 from station.estimation.likelihood import Weighing
 from station.estimation.parameters import Hypothesis, clock_sigma, parameters
+from station.estimation.prediction import Predictor
 from station.model.effects import effect_class
 from station.runs.ticks import CLOCKS
 from tests.estimation.made import AXIS, predictions, runs_of
@@ -49,6 +50,11 @@ def found(evidence: float, *effects: tuple, constants: tuple[str, ...] = (), nar
 def searching(clock: tuple[float, float] | None = None) -> Selection:
     return Selection(SimpleNamespace(data=SimpleNamespace(clock=clock, rig=None)), EFFORTS["quick"],
                      Weighing(np.ones((1, 1)), 1.0))
+
+
+def complete(predictor: Predictor) -> Selection:
+    """A search in which nothing but noise is left."""
+    return Selection(predictor, EFFORTS["quick"], Weighing(predictor.at_longest.counts, 1.0), complete=True)
 
 
 def test_each_cause_and_each_further_parameter_costs_its_prior() -> None:
@@ -147,11 +153,11 @@ def test_a_law_must_hold_against_one_that_it_holds_fitted_from_where_it_ended() 
     """Friction of two levels explains friction of one: begun from the rig alone the one may have ended anywhere."""
     torque = 0.03 * AXIS.motor.gain * AXIS.amplifier.limit
     predictor = predictions(AXIS, runs_of(AXIS.with_effects([FRICTION[0](at="motor", torque=torque)])))
-    search = Selection(predictor, EFFORTS["quick"], Weighing(predictor.counts, 1.0), complete=True)
+    search = complete(predictor)
 
     def ended(*effects: tuple, sizes: dict, **how: int) -> None:
         space = parameters(predictor.data, Hypothesis(effects), sizes)
-        search.keep(fit(predictor, space, search.weighing, space.mean.copy(), **how))
+        search.keep(fit(search.predictor, space, search.weighing, space.mean.copy(), **how))
 
     coulomb, stribeck = ("coulomb_friction", "motor"), ("stribeck_friction", "motor")
     ended(sizes={})
@@ -172,10 +178,10 @@ def test_a_best_set_that_ended_elsewhere_is_looked_back_upon_before_it_is_told()
 
     def ended(*effects: tuple, sizes: dict) -> None:
         space = parameters(predictor.data, Hypothesis(effects), sizes)
-        search.keep(fit(predictor, space, search.weighing, space.mean.copy()))
+        search.keep(fit(search.predictor, space, search.weighing, space.mean.copy()))
 
     for seen in (False, True):
-        search = Selection(predictor, EFFORTS["quick"], Weighing(predictor.counts, 1.0), complete=True)
+        search = complete(predictor)
         ended(sizes={})
         ended(FRICTION, (effect_class("input_delay"), "amplifier"),
               sizes={coulomb: {"torque": torque}, delay: {"time": 0.1 * AXIS.period}})
@@ -188,6 +194,33 @@ def test_a_best_set_that_ended_elsewhere_is_looked_back_upon_before_it_is_told()
         assert (frozenset({coulomb}) in search.fits) != seen
         if not seen:
             assert search.best().key == {coulomb}
+
+
+def test_where_nothing_but_noise_is_left_whole_runs_alone_are_predicted_and_where_more_is_all_horizons_again() -> None:
+    """And what is kept of the sets that were fitted before can be compared with those that are fitted after."""
+    torque = 0.03 * AXIS.motor.gain * AXIS.amplifier.limit
+    predictor = predictions(AXIS, runs_of(AXIS.with_effects([FRICTION[0](at="motor", torque=torque)])))
+    search = Selection(predictor, EFFORTS["quick"], Weighing(predictor.counts, 1.0))
+    for effects, sizes in (((), {}), ((FRICTION,), {("coulomb_friction", "motor"): {"torque": torque}})):
+        space = parameters(predictor.data, Hypothesis(effects), sizes)
+        search.keep(fit(predictor, space, search.weighing, space.mean.copy(), to_the_end=True).light)
+    alone, friction = search.fits.values()
+    search.looked_back = alone
+
+    quiet = search.weigh(friction)
+    assert search.complete and search.predictor.observers == predictor.observers[-1:]
+    assert quiet.squares.shape == (len(predictor.data.runs), 1) == search.weighing.independent.shape
+    np.testing.assert_array_equal(quiet.squares, friction.squares[:, predictor.longest])
+    assert search.score(search.fits[friction.key]) > search.score(search.fits[alone.key])
+    assert search.is_news(search.best(), search.looked_back)
+
+    loud = search.weigh(search.fits[alone.key])
+    assert not search.complete and search.predictor is predictor
+    for before, after in ((alone, loud), (alone, search.fits[alone.key]), (friction, search.fits[friction.key])):
+        np.testing.assert_allclose(after.squares, before.squares, rtol=1e-6)  # observers start elsewhere
+        assert after.log_evidence(search.weighing) == pytest.approx(before.log_evidence(search.weighing), abs=0.5)
+    assert search.score(search.fits[friction.key]) > search.score(search.fits[alone.key])
+    assert search.is_news(search.best(), search.looked_back)
 
 
 @pytest.mark.parametrize(("turns", "rounds"), [(0, 2), (1, 3), (3, 5), (1000, 5)])
@@ -205,8 +238,9 @@ def test_what_errors_count_for_is_read_off_the_best_set_however_often_that_chang
         def best(self):
             return list(self.fits.values())[min(self.read, turns) % 4]
 
-        def weigh(self, found) -> None:
+        def weigh(self, found):
             self.read, self.weighed_by = self.read + 1, found.key
+            return found
 
     refitted = []
     monkeypatch.setattr(selection, "_refit", lambda search, fits, to_the_end: refitted.append(search.weighed_by))
