@@ -36,6 +36,8 @@ RESONANCE = (9.5, 10.5)
 """Seconds of the swept sine in which the command passes the first clamped mode."""
 STIFF = {"drive.stiffness": 300.0, "drive.damping": 0.3, "motor.inertia": 0.3}
 """Factors on the nominal constants from which the fit with a gap begins."""
+RIGID = 100.0
+"""Multiple of the nominal stiffness beyond which a drive is as good as rigid; how far beyond, rounding decides."""
 GAP = 0.002
 INDEPENDENT = 300.0
 """Independent errors that each channel counts for."""
@@ -127,7 +129,8 @@ def tries(sweep: Run) -> str:
         (angle, acceleration), space, x = fitted(data, effects, sizes, factors)
         stiffness = space.rig_at(x).constants()["drive.stiffness"] / data.rig.constants()["drive.stiffness"]
         gap = space.values(x).get(("backlash", "drive"), {}).get("gap")
-        rows.append(f"| {words} | {angle:.1f} % | {acceleration:.1f} % | {number(stiffness)} | "
+        rows.append(f"| {words} | {angle:.1f} % | {acceleration:.1f} % | "
+                    f"{number(stiffness) if stiffness < RIGID else f'over {RIGID:g}'} | "
                     f"{'' if gap is None else f'{1e3 * gap:.1f} mrad'} |")
     return "\n".join(rows)
 
