@@ -188,6 +188,15 @@ class Compensator:
         self._accels, self._shaped = deque([0.0] * m, m), deque([0.0] * m, m)
         self._readings: deque[float] = deque(maxlen=max(self.feedback.size, 1))
 
+    @property
+    def memory(self) -> int:
+        """Samples before the present one from which a command is worked out, beside the accelerometer's."""
+        return max(self.denominator.size, self.feedback.size, 1) - 1
+
+    def sent(self, command: float) -> None:
+        """Take another command than the last ``step`` gave for the one that was given."""
+        self._outputs[0] = command
+
     def copy(self) -> Compensator:
         """Another one in the same state."""
         other = copy.copy(self)

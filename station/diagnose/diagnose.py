@@ -31,6 +31,7 @@ from station.estimation.dataset import canonical_order, dataset
 from station.estimation.least_squares import CANNOT_SIMULATE, DIVERGED
 from station.estimation.loaded import load_compiled
 from station.estimation.observer import observers
+from station.estimation.parameters import Parameters
 from station.estimation.pool import SIZE, Pool
 from station.estimation.prediction import SEARCH, Predictor, predict_run
 from station.model.simulate import build
@@ -100,7 +101,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     refit_rig = nothing.space.rig_at(nothing.x)
     extended = shown.space.rig_at(shown.x)
     comparisons = [RunComparison(run, before, refit, after if causes else None, seconds_ahead(data, k), part,
-                                 data.records[k].warm, shown.space.zero(shown.x, data.records[k].zero_group))
+                                 data.records[k].window, shown.space.zero(shown.x, data.records[k].zero_group))
                    for k, (run, before, refit, after, part) in enumerate(
                        zip(runs, *judged.simulations, parts, strict=True))]
     report("choosing the next experiment", 0.96)
@@ -111,12 +112,14 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
         verdict=decision, wrong=wrong(comparisons, data.noise), causes=causes,
         gain=gain(data, comparisons, judged.simulations[2], judged.ahead),
         next_experiment=with_word(None if decided else choice.next, decision, told, said.causes, known),
-        outside=finding.outside, disturbance=_disturbance(predictor, [data.rig, refit_rig, extended]),
+        outside=finding.outside,
+        disturbance=_disturbance(predictor, [(nothing.space, np.zeros(nothing.space.size)), (nothing.space, nothing.x),
+                                             (shown.space, shown.x)]),
         between_runs=between_runs(search, finding), rig=rig.name, effort=effort,
         runs=[RunFile(run=run.name) for run in given],
         ranking=[Ranked(effect=r.effect, at=r.at, probability=r.probability, note=r.note) for r in ranked])
     drawn = [row.zeroed(rig.angle_per_count)
-             for row, record in zip(comparisons, data.records, strict=True) if not record.warm]
+             for row, record in zip(comparisons, data.records, strict=True) if not record.finding.any()]
     drawn = [replace(run, name=given[0].name) for run in drawn[:1]] if len(given) == 1 else drawn
     draw = partial(_drawn, refit_rig, extended, drawn, [(c.effect, c.at) for c in causes], pool)
     report("done", 1.0)
@@ -160,15 +163,19 @@ def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice], list
             [slice(0, half), slice(half, None)], amiss)
 
 
-def _disturbance(predictor: Predictor, rigs: Sequence[Rig]) -> Disturbance:
-    """The torque at the motor that the quickest observer needs with each rig: a share of the command's rms torque."""
+def _disturbance(predictor: Predictor, rigs: Sequence[tuple[Parameters, np.ndarray]]) -> Disturbance:
+    """The torque at the motor that the quickest observer needs with each rig, its encoder's zeros and places in a gap
+    (parameters and x), in the rows that count: a share of the command's rms torque."""
     data, quickest = predictor.data, predictor.observers[:1]
 
-    def share(rig: Rig) -> float:
-        model, missing, command = build(rig, *SEARCH[:2]), 0.0, 0.0
-        for r, run in enumerate(data.runs):
-            torque = predict_run(data, model, quickest, r, data.own[r])[1][0]
-            missing, command = missing + float(torque @ torque), command + float(run.command @ run.command)
+    def share(rig: tuple[Parameters, np.ndarray]) -> float:
+        space, x = rig
+        model, missing, command = build(space.rig_at(x), *SEARCH[:2]), 0.0, 0.0
+        for r, (run, record) in enumerate(zip(data.runs, data.records, strict=True)):
+            torque = predict_run(data, model, quickest, r, data.own[r], zero=space.zero(x, record.zero_group),
+                                 place=space.place(x, r))[1][0]
+            torque, given = torque[record.window], run.command[record.window]
+            missing, command = missing + float(torque @ torque), command + float(given @ given)
         return float(np.sqrt(missing / max(command, 1e-300)))
     nominal, refitted, extended = predictor.pool.map(share, rigs)
     return Disturbance(nominal=nominal, refitted=refitted, extended=extended)

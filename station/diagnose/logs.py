@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -12,7 +13,7 @@ from station.diagnose.thresholds import OWN_COMMANDS
 from station.errors import StationError
 from station.model.simulate import limit_of
 from station.rig import Rig
-from station.runs.replay import replay_commands
+from station.runs.replay import compensator_of, replay_commands
 from station.runs.run import Run
 
 
@@ -23,7 +24,8 @@ def as_logged(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
     what no test did.
     """
     limit, said = rig.amplifier.limit, []
-    beyond = {run.name: reached for run in runs if (reached := float(np.max(np.abs(run.command)))) > limit}
+    beyond = {run.name: reached for run in runs
+              if (reached := float(np.max(np.abs(run.command)))) > math.floor(limit + 0.5)}
     shares = [off_by(rig, run) for run in runs]
     away = {run.name: share for run, share in zip(runs, shares, strict=True) if share > OWN_COMMANDS}
     if beyond:
@@ -45,11 +47,26 @@ def _most(shares: Mapping[str, float]) -> str:
 
 
 def off_by(rig: Rig, run: Run) -> float:
-    """By which share of their rms a run's commands are not its controller's; 0 where that cannot be worked out."""
+    """By which share of their rms a run's commands are not its controller's; 0 where that cannot be worked out.
+
+    What it remembers when the log begins, or goes on after a gap over which nobody knows what it read, is taken from
+    the log: those rows say nothing of it.  What an accelerometer's loop remembers no log says.
+    """
     if run.open_loop or commanded(run.metadata.controller):
         return 0.0
     try:
-        away = replay_commands(run, limit_of(rig, run.metadata)) - run.command
+        limit = limit_of(rig, run.metadata)
+        compensator, told = compensator_of(run, limit), run.blank
+        memory = compensator.memory - run.metadata.command_row
+        if compensator.accel_denominator.size:
+            told = np.logical_or.accumulate(told | bool(run.command[:memory].any()))
+        for first in [0, *(np.flatnonzero(np.diff(told.astype(int)) < 0) + 1)]:
+            told[first: first + memory] = True
+        away = replay_commands(run, limit, told=told) - run.command
     except StationError:    # told where the loop is simulated
         return 0.0
-    return float(np.linalg.norm(away)) / max(float(np.linalg.norm(run.command)), 1e-300)
+    return _rms(away[~told]) / max(_rms(run.command), 1e-300)
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.linalg.norm(values)) / math.sqrt(max(len(values), 1))

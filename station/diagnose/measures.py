@@ -79,8 +79,7 @@ def _same_test(one: Run, other: Run) -> bool:
         return False
     if one.open_loop:
         return bool(np.array_equal(one.command[:rows], other.command[:rows]))
-    known = one.metadata.controller.get("kind") != "unknown"
-    return known and bool(np.array_equal(one.reference[:rows], other.reference[:rows]))
+    return not one.loop_unknown and bool(np.array_equal(one.reference[:rows], other.reference[:rows]))
 
 
 def measures(run: Run, simulation: Simulation, rows: np.ndarray) -> dict[str, object]:

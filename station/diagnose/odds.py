@@ -57,7 +57,7 @@ class Draws:
         mine, its = (np.array([any(name == key[0] for name, _ in keys) for keys in self.sets], dtype=float)
                      for key in (one, other))
         more = self.posterior @ (mine - its)
-        (k, s), more = self.counts.shape, more - more.mean()
+        k, s, more = len(self.counts), np.count_nonzero(self.counts.any(axis=0)), more - more.mean()
         slopes = (self.counts - self.counts.mean(axis=0)).T @ more / k
         variance = float(more @ more) / k
         return math.sqrt(max(float(slopes @ slopes) - s * variance / k, 0.0) + variance / k)
@@ -110,10 +110,15 @@ class Odds:
 
 
 def resamples(search: Selection) -> np.ndarray:
-    """(k, stretches): how often each stretch counts; leaving out each run once, where there are several, then draws."""
-    owner = search.predictor.data.segment_run
-    draws = np.random.default_rng(SEED).exponential(size=(RESAMPLES, len(owner)))
-    draws *= len(owner) / draws.sum(axis=1, keepdims=True)
+    """(k, stretches): how often each stretch counts; leaving out each run once, where there are several, then draws.
+
+    Stretches in which no row counts (of a run that is alone those of its other half) are not drawn: the data that there
+    are count as much in every draw.
+    """
+    data = search.predictor.data
+    owner = data.segment_run
+    draws = np.random.default_rng(SEED).exponential(size=(RESAMPLES, len(owner))) * data.segment_counts
+    draws *= data.segment_counts.sum() / draws.sum(axis=1, keepdims=True)
     runs = np.unique(owner)
     left_out = np.array([(owner != r).astype(float) for r in runs]) if len(runs) > 2 else np.zeros((0, len(owner)))
     return np.concatenate([left_out, draws])

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -94,6 +95,12 @@ class Planner:
         went = max(float(np.max(np.abs(run.encoder - run.encoder[0]))) for run in self.runs)
         return min(TRAVEL * turn, max(FURTHER * went, LITTLE * turn))
 
+    def simulated(self, model: Model, run: Run, rounding: bool | Literal["inside"] = False,
+                  aside: float = 0.0) -> Simulation:
+        """A run's test from where it began, or so many counts beside it."""
+        start = (float(run.encoder[0]) + aside) * self.rig.angle_per_count
+        return simulate_model(model, run, rounding=rounding, start_angle=start)
+
     def outputs(self, found: Simulation) -> np.ndarray:
         """(channels, n)."""
         return np.stack([found.encoder, found.accel][: len(self.sigma)])
@@ -105,7 +112,7 @@ class Planner:
 
         def simulated(x: np.ndarray) -> list[Simulation]:
             model = belief.model(x)
-            return [simulate_model(model, run, rounding=False) for run in runs]
+            return [self.simulated(model, run) for run in runs]
 
         found = []
         for here, *others in zip(*self.pool.map(simulated, places), strict=True):
@@ -116,13 +123,12 @@ class Planner:
 
     def scales(self, model: Model, run: Run, mean: np.ndarray) -> np.ndarray:
         """Weight of every sample (channels, n): see ``dataset`` for shares; rounding is fed back."""
-        rounded = rounding_shares(np.round(mean[0]))
+        rounded = rounding_shares(np.floor(mean[0] + 0.5))
         share = np.stack([rounded, np.ones_like(rounded)])[: len(self.sigma)]
         variance = self.sigma**2
         if run.metadata.controller["kind"] != "open":
-            angle = ASIDE * self.rig.angle_per_count
-            here, there = ([self.outputs(simulate_model(model, run, rounding=flag, start_angle=start))
-                            for flag in ("inside", False)] for start in (-angle, angle))
+            here, there = ([self.outputs(self.simulated(model, run, flag, aside)) for flag in ("inside", False)]
+                           for aside in (-ASIDE, ASIDE))
             scatter = (here[0] - here[1]) - (there[0] - there[1])
             variance = variance + 0.5 * np.array([np.mean(row**2) * correlation_time(row) for row in scatter])
         return np.sqrt(share / variance[:, None])

@@ -206,9 +206,8 @@ class RunComparison:
     """As ``RunGain`` has it."""
     part: slice = field(default_factory=lambda: slice(None))
     """The rows that it is judged by: of a run that is alone one half."""
-    warm: int = 0
-    """So many at its beginning do not count: there simulations were corrected by what was read, for it begins in
-    motion."""
+    window: np.ndarray | None = None
+    """(n) those of them that count, by default all that were logged."""
     zero: float = 0.0
     """Absolute angle of the encoder's count 0, rad, by the fit of all runs."""
 
@@ -226,10 +225,9 @@ class RunComparison:
 
     @property
     def rows(self) -> np.ndarray:
-        """(n) rows of that part that were logged and count."""
+        """(n) rows of that part that count."""
         rows = np.zeros(len(self.run), dtype=bool)
-        rows[self.part] = self.run.logged[self.part]
-        rows[: self.warm] = False
+        rows[self.part] = (self.run.logged if self.window is None else self.window)[self.part]
         return rows
 
     def variance(self, channel: str) -> float:

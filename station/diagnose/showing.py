@@ -17,7 +17,6 @@ from station.diagnose.planner import Judge, Planner, Worth
 from station.diagnose.thresholds import VISIBLE
 from station.diagnose.trials import Trial
 from station.model.effects import Effect
-from station.model.simulate import simulate_model
 from station.rig import Rig
 from station.runs.run import Run
 
@@ -60,7 +59,7 @@ def showing(planner: Planner, base: Belief, effects: Sequence[tuple[str, Effect]
 
         def outputs_of(rig: Rig) -> list[np.ndarray]:
             model = built(rig)
-            return [planner.outputs(simulate_model(model, run, rounding=False)) for run in runs]
+            return [planner.outputs(planner.simulated(model, run)) for run in runs]
 
         changed = list(planner.pool.map(outputs_of, rigs))
         found = []

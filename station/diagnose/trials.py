@@ -11,6 +11,7 @@ import numpy as np
 
 from station.control.named import NAMED, SAMPLED_AT
 from station.control.references import defaults, reference_from_test
+from station.control.rounding import round_half_up
 from station.estimation.cause import is_constant
 from station.model.effects import effect_class
 from station.rig import Rig
@@ -72,8 +73,9 @@ class Trial:
 
     def sized(self, factor: float, most: float) -> Trial:
         """The same test at another amplitude, whole counts, at most ``most``."""
-        amplitude = max(round(min(self.amplitude * factor, most)), 1)
-        return Trial({**self.test, "amplitude": float(amplitude)}, self.controller)
+        amplitude = round_half_up(min(self.amplitude * factor, most))
+        amplitude -= amplitude > most
+        return Trial({**self.test, "amplitude": float(max(amplitude, 1))}, self.controller)
 
     def as_run(self, rig: Rig) -> Run:
         """The test as a run that has not happened: from encoder count 0, row i's command from row i - 1's readings."""

@@ -30,10 +30,11 @@ OWN_STEPS = 8
 
 
 def seconds_ahead(data: Dataset, run: int) -> float | None:
-    """How far ahead a run is predicted where its loop cannot be closed again: its controller is unknown, or its log
-    begins in motion.  None: it is simulated as a whole."""
-    this = data.runs[run]
-    lost = this.metadata.controller.get("kind") == "unknown" or data.records[run].warm > 0
+    """How far ahead a run is predicted where its loop cannot be closed again: its controller is unknown, its log begins
+    in motion, or its reference moved in a gap.  None: it is simulated as a whole."""
+    this, record = data.runs[run], data.records[run]
+    moved = np.diff(this.reference, append=this.reference[-1])[this.blank].any()
+    lost = this.loop_unknown or record.in_motion or moved
     return UNKNOWN_AHEAD if lost and not this.open_loop else None
 
 
@@ -42,10 +43,10 @@ def whole_run(data: Dataset, model: Model, run: int, own: np.ndarray, *, roundin
     """One run as its test would have gone on a rig; ``own`` (4) as ``Dataset.own`` has it.
 
     A closed loop is simulated from its reference, or predicted ``seconds_ahead`` of what was read before; an open one
-    is simulated from its command.
+    is simulated from its command, where that is known.
     """
     this, ahead, (start, offset, share, constant) = data.runs[run], seconds_ahead(data, run), (float(v) for v in own)
-    if ahead is None and not data.records[run].warm:
+    if ahead is None and not (this.open_loop and data.records[run].finding.any()):
         return simulate_model(model, this, rounding=rounding, start_angle=angle_that_reads(model.rig, start, zero),
                               accel_offset=offset, zero=zero, gap_place=place, more=(share, constant))
     watched = observers(data.rig, data.noise[0], (ahead or math.inf,))

@@ -12,7 +12,10 @@ from station.diagnose.thresholds import SHOWN_COUNTS, SHOWN_SETTLING, SHOWN_SHAR
 
 
 def wrong(comparisons: Sequence[RunComparison], noise: Sequence[float]) -> list[Wrong]:
-    """What the nominal rig gets wrong, the largest first; beside an nrmse stands the floor that noise alone sets."""
+    """What the nominal rig gets wrong, the largest first; beside an nrmse stands the floor that noise alone sets.
+
+    Peaks are counted from the first reading of the run.
+    """
     found: list[tuple[float, str, Channel, str, float | None, float | None, str | None]] = []
     for c in comparisons:
         run, simulation, rows = c.run, c.before, c.rows
@@ -25,7 +28,8 @@ def wrong(comparisons: Sequence[RunComparison], noise: Sequence[float]) -> list[
             elif name == "settling_time" and m != s and (m is None or s is None or abs(m - s) > SHOWN_SETTLING):
                 found.append((0.0, run.name, "encoder", name, s, m, None))
         if not measured:
-            m, s = (float(np.max(np.abs(encoder[rows]))) for encoder in (run.encoder, simulation.encoder))
+            m, s = (float(np.max(np.abs(encoder[rows] - run.encoder[0])))
+                    for encoder in (run.encoder, simulation.encoder))
             if abs(m - s) > SHOWN_COUNTS:
                 found.append((100.0 * abs(m - s) / max(m, 1.0), run.name, "encoder", "peak_counts", s, m, None))
         for channel, sigma in zip(CHANNELS, noise, strict=True):

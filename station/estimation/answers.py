@@ -13,7 +13,7 @@ answer the readings, and g is that loop's.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -58,9 +58,14 @@ class Answer:
 def answers(predictor: Predictor) -> list[Answer]:
     """Of every run that drives the rig, the angle first.
 
-    The angle's block is that of the quickest observer, the acceleration's the last.
+    The angle's block is that of the quickest observer, the acceleration's the last.  No amplifier cuts the commands, or
+    a unit of theirs that is wrong would not show.
     """
-    data = predictor.data
+    given = predictor.data
+    largest = max(float(np.max(np.abs(run.command))) for run in given.runs)
+    amplifier = given.rig.amplifier.model_copy(update={"limit": max(given.rig.amplifier.limit, largest)})
+    data = replace(given, rig=given.rig.model_copy(update={"amplifier": amplifier}))
+    predictor = predictor.on(data)
     space = parameters(data, Hypothesis(), {})
     driven, still = (predictor.runs(space, space.mean, data.own + more) for more in (0.0, IDLE))
     found = []
@@ -101,11 +106,16 @@ def refuse_wrong_signs_and_units(found: list[Answer]) -> None:
 
 
 def unlikely(found: list[Answer]) -> list[str]:
-    """A sentence for each reading that answers most runs much more or less than the rig file says."""
+    """A sentence for each reading that answers most runs much more or less than the rig file says, or else for each run
+    of which it does."""
     said = []
     for reading in READINGS:
-        gains = [one.gain for one in found if one.reading == reading and one.sureness > CORRELATED]
-        if gains and not 1.0 / SUSPECT < (gain := float(np.median(gains))) < SUSPECT:
-            said.append(f"the {reading} answers the commands {gain:.2g} times as much as the rig file says; if that is "
-                        f"a unit or a scale ({SCALES[reading]}), mend it")
+        sure = [one for one in found if one.reading == reading and one.sureness > CORRELATED]
+        if not sure:
+            continue
+        usual = Answer("", reading, float(np.median([one.gain for one in sure])), 1.0)
+        for one in [usual] if usual.off_by(SUSPECT) else [one for one in sure if one.off_by(SUSPECT)]:
+            where, others = (f"{one.run}: ", f", of the other runs {usual.gain:.2g} times") if one.run else ("", "")
+            said.append(f"{where}the {reading} answers the commands {one.gain:.2g} times as much as the rig file "
+                        f"says{others}; if that is a unit or a scale ({SCALES[reading]}), mend it")
     return said

@@ -52,10 +52,10 @@ class Logs(NamedTuple):
     encoder: np.ndarray
     command: np.ndarray
     """(N) counts."""
-    logged: np.ndarray
-    """(N) bool."""
-    warm: np.ndarray
-    """(runs) int64: rows in which an observer finds the state."""
+    read: np.ndarray
+    """(N) bool: whether what an observer misses there corrects it."""
+    finding: np.ndarray
+    """(N) bool: as ``Record`` has it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,8 @@ class Record:
     """One run as an estimator sees it: n rows, c channels (encoder, accelerometer)."""
 
     run: Run
-    """Its gaps filled: rows that were not logged are simulated through and neither count nor correct."""
+    """Its gaps filled: rows that were not logged do not count, and nothing corrects a prediction there; but over a gap
+    of which nobody knows the commands an observer follows the straight line between what was read."""
     window: np.ndarray
     """(n) whether a row counts."""
     measured: np.ndarray
@@ -74,8 +75,9 @@ class Record:
     """Starting angle as read, rad."""
     offset: float
     """The accelerometer's as read at rest, counts."""
-    warm: int
-    """Rows in which an observer finds the state of a rig that is in motion when the log begins."""
+    finding: np.ndarray
+    """(n) whether an observer finds the rig's state: where it is in motion when the log begins, and over a gap of which
+    nobody knows the commands and after it."""
     zero_group: int
     """Number of the encoder's zero: runs of one share it."""
     segment: np.ndarray
@@ -84,7 +86,12 @@ class Record:
     @property
     def released(self) -> bool:
         """Whether it begins at rest, held where it was read."""
-        return self.run.metadata.start != "equilibrium" and not self.warm
+        return self.run.metadata.start != "equilibrium" and not self.in_motion
+
+    @property
+    def in_motion(self) -> bool:
+        """Whether the log begins in motion."""
+        return bool(self.finding[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +107,14 @@ class Dataset:
     clock: tuple[float, float] | None
     segment_run: np.ndarray
     """(stretches) the run of each."""
+
+    @cached_property
+    def segment_counts(self) -> np.ndarray:
+        """(stretches) whether a row of each counts."""
+        held = np.zeros(len(self.segment_run), dtype=bool)
+        for record in self.records:
+            held[record.segment[record.window]] = True
+        return held
 
     @cached_property
     def runs(self) -> tuple[Run, ...]:
@@ -134,7 +149,7 @@ class Dataset:
     @cached_property
     def offset_error(self) -> np.ndarray:
         """(runs) standard error of the offset as read, counts: of a loop that acts from the start on, one reading's."""
-        rows = [max(int(r.run.logged[: len(r.run) if r.warm else rest_rows(r.run)].sum()), 1) for r in self.records]
+        rows = [max(int(r.run.logged[: None if r.in_motion else rest_rows(r.run)].sum()), 1) for r in self.records]
         return self.sigma[-1] / np.sqrt(rows) if self.has_accel else np.zeros(len(rows))
 
     @cached_property
@@ -169,7 +184,7 @@ class Dataset:
 
     @cached_property
     def finder(self) -> Observer:
-        """Finds the state of a rig that is in motion when a log begins."""
+        """Finds the state of a rig that is in motion when a log begins, or goes on after a gap."""
         return observers(self.rig, self.noise[0], (FINDS,))[0]
 
     @cached_property
@@ -197,8 +212,8 @@ def _joined(records: Sequence[Record]) -> Logs:
     first = np.concatenate([[0], np.cumsum([len(one.run) for one in records])]).astype(np.int64)
     return Logs(first, np.concatenate([one.measured[0] for one in records]),
                 np.concatenate([one.run.command for one in records]).astype(float),
-                np.concatenate([one.run.logged for one in records]),
-                np.array([one.warm for one in records], dtype=np.int64))
+                np.concatenate([one.run.logged | one.run.blank for one in records]),
+                np.concatenate([one.finding for one in records]))
 
 
 def canonical_order(runs: Sequence[Run]) -> list[int]:
@@ -260,34 +275,45 @@ def _refuse_rollover(rig: Rig, run: Run) -> None:
 
 def _record(rig: Rig, run: Run, window: slice, noise: Sequence[float], zero_group: int, segment: np.ndarray) -> Record:
     """One run, its gaps filled, whose rows in a window count; ``noise`` of each channel, counts."""
-    channels, warm, kept = len(noise), _warm_rows(rig, run, noise), np.zeros(len(run), dtype=bool)
-    kept[window] = run.logged[window]
-    kept[:warm] = False
+    channels, finding, kept = len(noise), _finding(rig, run, noise), np.zeros(len(run), dtype=bool)
+    kept[window] = (run.logged & ~finding)[window]
     readings = [run.encoder, run.accel][:channels]
-    rest = len(run) if warm else max(rest_rows(run), 1)
+    rest = len(run) if finding[0] else max(rest_rows(run), 1)
     return Record(
         run=run, window=kept, measured=np.stack(readings).astype(float),
         share=_shares(run, kept, noise),
         start=float(np.mean(run.encoder[rest_start(run)])) * rig.angle_per_count,
-        offset=float(np.mean(readings[1][:rest])) if channels > 1 else 0.0, warm=warm, zero_group=zero_group,
-        segment=segment)
+        offset=float(np.mean(readings[1][:rest])) if channels > 1 else 0.0, finding=finding,
+        zero_group=zero_group, segment=segment)
 
 
 def first_seconds(data: Dataset, seconds: float) -> Dataset:
     """The same runs, of which each ends so long after its first command."""
     def cut(one: Record) -> Record:
         run = one.run
-        end = max(int(np.argmax(run.command != run.command[0])), one.warm) + math.ceil(seconds * run.sample_rate)
+        found = int(np.argmin(one.finding))     # the first row of a known state
+        end = max(int(np.argmax(run.command != run.command[0])), found) + math.ceil(seconds * run.sample_rate)
 
         def first(rows: np.ndarray) -> np.ndarray:
             return np.ascontiguousarray(rows[..., :end])
         return replace(one, run=run.slice(0, end), window=first(one.window),
-                       measured=first(one.measured), share=first(one.share), segment=first(one.segment))
+                       measured=first(one.measured), share=first(one.share), finding=first(one.finding),
+                       segment=first(one.segment))
     return replace(data, records=tuple(map(cut, data.records)))
 
 
-def _warm_rows(rig: Rig, run: Run, noise: Sequence[float]) -> int:
-    """WARM in rows where a run begins in motion, else 0.
+def _finding(rig: Rig, run: Run, noise: Sequence[float]) -> np.ndarray:
+    """(n) rows of a run, its gaps filled, that do not count because its state is being found: WARM where it begins in
+    motion, and a gap of which nobody knows the commands with WARM after it."""
+    rows, finding = math.ceil(WARM * rig.sample_rate), np.zeros(len(run), dtype=bool)
+    finding[: rows * _in_motion(rig, run, noise)] = True
+    for end in np.flatnonzero(np.diff(run.blank.astype(int)) < 0) + 1:
+        finding[end: end + rows] = True
+    return finding | run.blank
+
+
+def _in_motion(rig: Rig, run: Run, noise: Sequence[float]) -> bool:
+    """Whether a run of more than twice WARM begins in motion.
 
     It does where its first rows are not those of the nominal rig at rest, times a factor of 0 to 2 that fits them best.
     """
@@ -300,7 +326,7 @@ def _warm_rows(rig: Rig, run: Run, noise: Sequence[float]) -> int:
         factor = min(max(float(could @ measured[:rows]) / max(float(could @ could), 1e-12), 0.0), 2.0)
         small = FIRST_COUNTS + FIRST_SIGMAS * sigma + FIRST_SHARE * float(np.ptp(measured)) * (channel == "accel")
         moving |= float(np.ptp(measured[:rows] - factor * could)) > small
-    return math.ceil(WARM * rig.sample_rate) if moving and len(run) > 2 * WARM * rig.sample_rate else 0
+    return moving and len(run) > 2 * WARM * rig.sample_rate
 
 
 def _shares(run: Run, window: np.ndarray, noise: Sequence[float]) -> np.ndarray:

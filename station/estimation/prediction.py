@@ -10,7 +10,6 @@ direct method (Ljung 1999, section 13.4).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -37,12 +36,10 @@ FINE: Accuracy = (0.01, 5e-4, 2e-4)
 """Of the simulations in a search and of those from which values are stated, SEARCH and FINE; in a hurry COARSE and
 SEARCH.  By COARSE predictions err by 0.02 count at most (root mean square, effects of all usual sizes on the arm), with
 a gap by 0.05, by SEARCH with a gap by 0.012; rounding alone by 0.29."""
-SPAN = math.pi
-"""Largest error of the angle that corrects a prediction, rad: a model that has run away is not chased."""
 
 
 @kernel()
-def _predict(plan, fresh, state, gain, torque_gain, late, decay, span, logs, own, accel_at, out, disturbance, work):
+def _predict(plan, fresh, state, gain, torque_gain, late, decay, logs, own, accel_at, out, disturbance, work):
     blocks, horizons, plain = out.size // logs.command.size, accel_at.size, is_plain(plan)
     for run in range(len(own)):
         rows = logs.first[run + 1] - logs.first[run]
@@ -54,8 +51,9 @@ def _predict(plan, fresh, state, gain, torque_gain, late, decay, span, logs, own
             accels = blocks * logs.first[run] + accel_at[horizon] * rows
             for i in range(rows):
                 row = logs.first[run] + i
-                used = horizons if i < logs.warm[run] else horizon
-                if i == logs.warm[run]:
+                finding = logs.finding[row]
+                used = horizons if finding else horizon
+                if i > 0 and logs.finding[row - 1] and not finding:
                     d = 0.0
                 if plain:
                     encoder, accel = sense_plain(plan, state, own[run, 1])
@@ -66,8 +64,8 @@ def _predict(plan, fresh, state, gain, torque_gain, late, decay, span, logs, own
                     out[accels + i] = accel
                 if torque_gain[used] != 0.0:
                     error = 0.0
-                    if logs.logged[row]:
-                        error = min(max((logs.encoder[row] - encoder) / encoder_slope(plan, state), -span), span)
+                    if logs.read[row]:
+                        error = (logs.encoder[row] - encoder) / encoder_slope(plan, state)
                     for k in range(state.z.size):
                         state.z[k] += gain[used, k] * error
                     for k in range(late.shape[1]):
@@ -78,7 +76,7 @@ def _predict(plan, fresh, state, gain, torque_gain, late, decay, span, logs, own
                 command = logs.command[row]
                 more = own[run, 2] * command + own[run, 3]
                 if plain:
-                    advance_plain(plan, state, command + more + d)
+                    advance_plain(plan, state, command, more + d)
                 else:
                     advance(plan, state, command, more + d, work)
 
@@ -111,14 +109,14 @@ def _predicted(data: Dataset, model: Model, observers: Sequence[Observer], logs:
     ``accel_at`` (h): the block that holds the accelerometer as a horizon predicts it, -1 for none.
     """
     out: np.ndarray = np.empty(blocks * logs.command.size)
-    used = [*observers, data.finder if logs.warm.any() else observers[0]]
+    used = [*observers, data.finder if logs.finding.any() else observers[0]]
     fresh = tuple(np.array(rows) for rows in zip(*((s.z, s.effects, s.last) for s in starts), strict=True))
     states, torques, decays, angles = zip(*(correction(o, model) for o in used), strict=True)
     late = np.zeros((len(used), max(a.size for a in angles)))
     for row, angle in zip(late, angles, strict=True):
         row[: angle.size] = angle
     _predict(model.plan, fresh, starts[0], np.array(states), np.array(torques), late, np.array(decays),
-             SPAN / model.rig.angle_per_count, logs, np.ascontiguousarray(own), accel_at, out, disturbance,
+             logs, np.ascontiguousarray(own), accel_at, out, disturbance,
              np.zeros((4, max(model.plan.port_joint.size, 1))))
     return out
 
@@ -135,7 +133,7 @@ def predict_run(data: Dataset, model: Model, observers: Sequence[Observer], run:
     of command.
 
     ``own`` (4) as ``Dataset.own`` has it.  Where a row was not logged, nothing was read, and the observer runs on with
-    its torque.
+    its torque, but for what ``Record.run`` says.
     """
     count, logs = len(observers), data.log[run]
     torque = np.zeros(count * logs.command.size)

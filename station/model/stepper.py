@@ -164,6 +164,11 @@ def _dot2(one, two, z):
 
 
 @kernel(forceinline=True)
+def _cut(plan, command):
+    return min(max(command, -plan.limit), plan.limit)
+
+
+@kernel(forceinline=True)
 def _chain(plan, state, command, h):
     for slot in range(plan.first[COMMAND], plan.first[COMMAND + 1]):
         command = call_law(plan.slots[slot, 1], command, 0.0, plan.limit,
@@ -389,12 +394,13 @@ def encoder_slope(plan, state):
 
 @kernel(forceinline=True)
 def advance(plan, state, command, disturbance, work):
-    """Hold a command over one period, with ports, delays and filters; ``disturbance``: torque besides, in counts."""
+    """Hold a command over one period, cut at the amplifier's limit, with ports, delays and filters; ``disturbance``:
+    torque besides, in counts."""
     place = state.clock[1] + 1
     if place == state.commands.size:
         place = 0
     state.clock[1] = place
-    state.commands[place] = command
+    state.commands[place] = _cut(plan, command)
     new = state.commands[(place - plan.whole_delay) % state.commands.size]
     old = state.commands[(place - plan.whole_delay - 1) % state.commands.size]
     z, ports, size = state.z, plan.port_joint.size, state.z.size
@@ -458,10 +464,11 @@ def sense_plain(plan, state, offset):
 
 
 @kernel(forceinline=True)
-def advance_plain(plan, state, command):
-    """Hold a command over one period, where ``is_plain``."""
-    _propagate(plan.phi, plan.held, state.z, command)
-    state.last[0] = command
+def advance_plain(plan, state, command, disturbance):
+    """The same where ``is_plain``."""
+    count = _cut(plan, command) + disturbance
+    _propagate(plan.phi, plan.held, state.z, count)
+    state.last[0] = count
 
 
 @kernel()
@@ -536,7 +543,7 @@ def ticks(plan, state, controller, reference, command, closed, command_row, offs
             command[row] = out
         further = more[0] * command[row] + more[1]
         if plain:
-            advance_plain(plan, state, command[row] + further)
+            advance_plain(plan, state, command[row], further)
         else:
             advance(plan, state, command[row], further, work)
     if rounding == ALL:

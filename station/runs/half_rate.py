@@ -65,7 +65,9 @@ def _command(run: Run, straight: Run, known: np.ndarray) -> np.ndarray:
     except (UsageError, WorkError):
         return straight.command
     off, found = run.command - own[::2], straight.command.copy()
-    found[1::2] = np.where(known, own[1::2] + 0.5 * (off[:-1] + off[1:]), found[1::2])
+    most = max(limit, float(np.max(np.abs(run.command))))
+    between = np.clip(own[1::2] + 0.5 * (off[:-1] + off[1:]), -most, most)
+    found[1::2] = np.where(known, between, found[1::2])
     return found
 
 

@@ -64,13 +64,14 @@ def compensator_of(run: Run, limit: float, spec: dict[str, Any] | None = None) -
     return compensator
 
 
-def replay_commands(run: Run, limit: float | None = None, *, shaped: bool = False) -> np.ndarray:
+def replay_commands(run: Run, limit: float | None = None, *, shaped: bool = False,
+                    told: np.ndarray | None = None) -> np.ndarray:
     """The commands (counts) that the run's compensator gives for its logged reference, encoder and accelerometer.
 
     Row i comes from the reference of row i and the readings of row i + command_row; before the first readings
     the command is 0.  ``limit`` (counts) defaults to that of the rig in the metadata.  With ``shaped`` the logged
     reference after the accelerometer loop is used, and the rest of the compensator alone.  Rounded half up
-    where the log is; the recursion never is.
+    where the log is; the recursion never is, but goes on from what was logged in rows that are ``told`` (n, bool).
     """
     run.require_unbroken()
     if run.metadata.controller.get("kind") == "unknown":
@@ -93,6 +94,8 @@ def replay_commands(run: Run, limit: float | None = None, *, shaped: bool = Fals
     readings = zip(run.encoder.tolist(), accel.tolist(), strict=True)
     for row, (target, reading) in enumerate(zip(reference[late:].tolist(), readings, strict=False), start=late):
         commands[row] = compensator.step(target, *reading)
+        if told is not None and told[row]:
+            compensator.sent(run.command[row])
     return np.floor(commands + 0.5) if rounded(run) else commands
 
 

@@ -24,6 +24,8 @@ BETWEEN = frozenset({"t", "encoder", "accel", "device_time", "host_time"})
 """Columns of which a lost row lies between its neighbours; the others keep what was logged last."""
 SENT = frozenset({"command", "reference"})
 """Columns that went on between the rows of a log of every other tick."""
+HELD = 5
+"""Ticks for which a device holds a command at most (the protocol's ``hold_ticks_max``)."""
 RATES = 0.01
 """Largest share by which a run's sample rate may differ from the rig's."""
 
@@ -243,6 +245,16 @@ class Run:
         """(n) whether each row was logged; False where ``filled`` put it in."""
         lost = self.extra.get(LOST)
         return np.ones(len(self), dtype=bool) if lost is None else lost == 0.0
+
+    @property
+    def blank(self) -> np.ndarray:
+        """(n) rows of gaps that ``filled`` put in and that are longer than a device holds a command: what acted there
+        nobody knows."""
+        edges = np.flatnonzero(np.diff(np.concatenate([[True], self.logged, [True]]).astype(int)))
+        blank = np.zeros(len(self), dtype=bool)
+        for first, end in edges.reshape(-1, 2).tolist():
+            blank[first:end] = end - first > HELD
+        return blank
 
     def filled(self, rate: float | None = None) -> Run:
         """The run with a row for every tick: lost ones have the command and reference last logged, readings and

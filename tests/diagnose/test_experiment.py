@@ -136,6 +136,15 @@ def test_what_the_runs_so_far_have_shown_is_worth_less(planner):
     assert large.prediction.names == ("plain", "with clipping")
 
 
+def test_what_the_runs_have_shown_does_not_hang_on_the_count_at_which_they_began(planner):
+    base, dead = hypothesis("plain", sigma=0.03), ("dead zone", effect("dead_zone", "amplifier", width=6.0))
+    run = gone(STEPS[0])
+    elsewhere = replace(run, encoder=run.encoder + 300.0, reference=run.reference + 300.0)
+    one, other = (showing(Planner(SFLR, SIGMA, planner.pool, [past]), base, [dead])(STEPS[1:])[0].value
+                  for past in (run, elsewhere))
+    assert other == pytest.approx(one, rel=1e-3)
+
+
 def test_runs_add_up_to_what_all_of_them_say_together():
     rng = np.random.default_rng(2)
     spread, change, nuisance = rng.normal(size=(3, 40)), rng.normal(size=(2, 40)), rng.normal(size=(2, 20))

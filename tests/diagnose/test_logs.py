@@ -10,9 +10,15 @@ import pytest
 from station.diagnose.diagnose import diagnose
 from station.diagnose.logs import as_logged, off_by
 from station.diagnose.thresholds import OWN_COMMANDS
+from station.estimation.dataset import dataset
+from station.estimation.observer import observers
+from station.estimation.prediction import predict_run
+from station.model.effects import Effect, effect_class
+from station.model.simulate import build, simulate
 from station.rig import load_rig
 from station.runs import load_run
-from tests.estimation.made import AXIS, runs_of
+from station.runs.run import Run
+from tests.estimation.made import AXIS, run_of, runs_of
 from tests.measured import LOGS, SERVO_LOGS, measured_folder, measured_log
 
 RUNS = runs_of(AXIS)
@@ -42,11 +48,46 @@ def test_a_controller_that_is_none_is_left_to_who_simulates_it() -> None:
     assert off_by(AXIS, odd) == 0.0 and as_logged(AXIS, [odd])[0] == [odd]
 
 
+def gapped(run: Run, first: int, end: int) -> Run:
+    """The run without some rows."""
+    kept = np.delete(np.arange(len(run)), np.arange(first, end))
+    return Run.from_columns(run.name, run.name, {name: values[kept] for name, values in run.columns().items()}
+                            | {"n": kept}, run.metadata).filled()
+
+
+@pytest.mark.parametrize("kind", ["p2", "lead", "pid"])
+def test_a_log_that_begins_in_motion_or_has_a_gap_is_of_its_controller_still(kind: str) -> None:
+    rig = load_rig("sflr")
+    run = run_of(rig, 80.0, kind, kind, 2.0)
+    logs = [run, run.slice(60), gapped(run, 60, 110)]
+    assert np.max(np.abs(run.command[60:110])) > 10.0
+    assert max(off_by(rig, one) for one in logs) < 0.5 * OWN_COMMANDS      # a count, rounded, that an integral keeps
+    other = 1.5 * run.metadata.controller["gain"]
+    assert min(off_by(rig, of(one, gain=other)) for one in logs) > OWN_COMMANDS
+
+
 def test_commands_beyond_the_amplifiers_limit_are_told() -> None:
     limit = 0.5 * float(np.max(np.abs(RUNS[-1].command)))
     small = AXIS.model_copy(update={"amplifier": AXIS.amplifier.model_copy(update={"limit": limit})})
     _, said = as_logged(small, RUNS[-1:])
     assert len(said) == 1 and "amplifier.limit" in said[0] and RUNS[-1].name in said[0]
+
+
+@pytest.mark.parametrize("effects", [[], [effect_class("dead_zone")(at="amplifier", width=2.0)]])
+def test_commands_beyond_the_amplifiers_limit_are_cut_in_simulations_and_predictions(effects: list[Effect]) -> None:
+    run, limit = RUNS[-1], 0.5 * float(np.max(np.abs(RUNS[-1].command)))
+    amplifier = AXIS.amplifier.model_copy(update={"limit": limit})
+    small = AXIS.model_copy(update={"amplifier": amplifier}).with_effects(effects)
+    cut = replace(run, command=np.clip(run.command, -limit, limit))
+    assert np.array_equal(simulate(small, run).encoder, simulate(small, cut).encoder)
+    made = [predict_run(data, build(data.rig), observers(data.rig, 0.0, (0.05,)), 0, data.own[0])[0]
+            for data in (dataset(small, [one]) for one in (run, cut))]
+    assert np.array_equal(*made) and np.ptp(made[0][0, 0]) > 1.0
+
+
+def test_a_command_that_is_rounded_beyond_the_limit_is_not_told() -> None:
+    rig = AXIS.model_copy(update={"amplifier": AXIS.amplifier.model_copy(update={"limit": 59.6})})
+    assert float(np.max(np.abs(RUNS[-1].command))) == 60.0 and as_logged(rig, RUNS[-1:])[1] == []
 
 
 def test_the_gain_is_told_a_time_ahead_where_the_logs_name_another_controller() -> None:

@@ -45,7 +45,8 @@ class Searched:
     def __init__(self, scores: dict[Causes, np.ndarray], owner: np.ndarray) -> None:
         space = SimpleNamespace(rig=AXIS, coordinates=(), parts={"effects": slice(0, 0)})
         self.fits = {keys: SimpleNamespace(key=keys, space=space, by_stretch=row) for keys, row in scores.items()}
-        self.predictor = SimpleNamespace(data=SimpleNamespace(segment_run=owner))
+        self.predictor = SimpleNamespace(data=SimpleNamespace(
+            segment_run=owner, segment_counts=np.ones(len(owner), dtype=bool)))
 
     def score(self, found: SimpleNamespace) -> float:
         return float(found.by_stretch.sum())
@@ -116,6 +117,13 @@ def test_resamples_leave_each_run_out_once_and_then_weigh_every_stretch() -> Non
 
 def test_with_two_runs_none_is_left_out_whole() -> None:
     assert len(resamples(Searched({}, np.array([0, 0, 1, 1])))) == RESAMPLES
+
+
+def test_what_no_row_counts_in_is_not_drawn() -> None:
+    halves = Searched({}, np.array([0, 0, 1, 1]))
+    halves.predictor.data.segment_counts = np.array([True, False, False, True])
+    drawn = resamples(halves)
+    assert np.all(drawn[:, 1:3] == 0.0) and np.allclose(drawn.sum(axis=1), 2.0)
 
 
 def test_a_cause_that_every_stretch_asks_for_is_certain_and_stable() -> None:

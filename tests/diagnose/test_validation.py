@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,7 +20,10 @@ from station.diagnose.validation import (
     seconds_ahead,
     unseen_gain,
 )
+from station.estimation.dataset import dataset
 from station.estimation.pool import Pool
+from station.runs.run import Run
+from tests.estimation.made import AXIS, run_of
 from tests.estimation.test_spread import USUAL, fitted
 
 ROWS = 200
@@ -165,12 +168,19 @@ def test_every_run_is_left_out_once_from_where_the_fit_of_all_ended(monkeypatch:
     assert {row[1:] for row in asked} == {("here", "known")}
 
 
-@pytest.mark.parametrize(("kind", "warm", "ahead"), [
-    ("p", 0, None), ("p", 500, UNKNOWN_AHEAD), ("unknown", 0, UNKNOWN_AHEAD), ("open", 0, None), ("open", 500, None)])
-def test_a_loop_that_cannot_be_closed_again_is_predicted_half_a_second_ahead(kind: str, warm: int, ahead: float | None,
-                                                                             ) -> None:
-    run = SimpleNamespace(metadata=SimpleNamespace(controller={"kind": kind}), open_loop=kind == "open")
-    assert seconds_ahead(SimpleNamespace(runs=[run], records=[SimpleNamespace(warm=warm)]), 0) == ahead
+@pytest.mark.parametrize(("kind", "first", "lost", "ahead"), [
+    ("p1", 0, 0, None), ("p1", 90, 0, UNKNOWN_AHEAD), ("unknown", 0, 0, UNKNOWN_AHEAD), ("open", 0, 0, None),
+    ("open", 150, 0, None), ("p1", 0, 160, None), ("p1", 0, 80, UNKNOWN_AHEAD)])
+def test_a_loop_that_cannot_be_closed_again_is_predicted_half_a_second_ahead(kind: str, first: int, lost: int,
+                                                                             ahead: float | None) -> None:
+    """One that is cut at its beginning, or has a gap: after the reference moved, or while it did."""
+    run = run_of(AXIS, 60.0, "open" if kind == "open" else "p1", "run", 3.0)
+    if kind == "unknown":
+        run = replace(run, metadata=run.metadata.model_copy(update={"controller": {"kind": "unknown"}}))
+    rows = np.delete(np.arange(len(run)), slice(lost - 40, lost)) if lost else np.arange(first, len(run))
+    cut = Run.from_columns("cut", "cut", {name: values[rows] for name, values in run.columns().items()}
+                           | ({"n": rows} if lost else {}), run.metadata)
+    assert seconds_ahead(dataset(AXIS, [cut]), 0) == ahead
 
 
 @pytest.mark.parametrize(("before", "after", "is_worse"), [(2.0, 1.0, False), (1.0, 1.0, False), (1.0, 2.0, True),

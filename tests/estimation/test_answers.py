@@ -87,6 +87,13 @@ def test_four_times_the_counts_are_told_and_not_refused() -> None:
     assert "angle" in sentence and "counts_per_revolution" in sentence
 
 
+def test_one_log_of_another_unit_is_told_by_its_name() -> None:
+    rig, runs = made("axis")
+    given = [*runs[:-1], *altered(runs[-1:], encoder=1.0 / 11.0)]
+    (sentence,) = unlikely(answers(predictions(rig, given)))
+    assert sentence.startswith(f"{runs[-1].name}: the angle") and "of the other runs" in sentence
+
+
 def test_a_loop_that_holds_a_still_reference_answers_for_nothing() -> None:
     rig, runs = made("axis")
     held = [replace(run, reference=np.zeros_like(run.reference)) for run in runs if not run.open_loop]

@@ -74,7 +74,7 @@ def test_a_run_begins_in_motion_where_its_first_rows_do_what_a_rig_at_rest_canno
     pulses = run_of(AXIS, 60.0, "open", "pulses", 3.0)
     cuts = [pulses.slice(first) for first in (0, 20, 49, 100, 150)]
     rows = round(WARM * AXIS.sample_rate)
-    assert [record.warm for record in dataset(AXIS, cuts).records] == [0, 0, 0, rows, rows]
+    assert [record.finding.sum() for record in dataset(AXIS, cuts).records] == [0, 0, 0, rows, rows]
 
 
 def test_a_step_in_the_first_row_is_no_motion_whatever_the_rigs_gain() -> None:
@@ -82,7 +82,7 @@ def test_a_step_in_the_first_row_is_no_motion_whatever_the_rigs_gain() -> None:
         rig = AXIS.with_constants({"motor.gain": gain * AXIS.motor.gain})
         run = run_of(rig, 90.0, "p2", "step", 2.0)
         begun = run.slice(int(np.argmax(run.reference != 0.0)))
-        assert dataset(AXIS, [begun]).records[0].warm == 0
+        assert dataset(AXIS, [begun]).records[0].finding.sum() == 0
 
 
 def test_a_beam_that_rings_is_in_motion_though_its_base_stands_still() -> None:
@@ -91,15 +91,16 @@ def test_a_beam_that_rings_is_in_motion_though_its_base_stands_still() -> None:
     ringing = next(int(row) for row in still if np.ptp(run.accel[row:row + 10]) > 0.2 * np.ptp(run.accel))
     cut = run.slice(ringing)
     assert len(cut) > 2 * WARM * rig.sample_rate
-    assert dataset(rig, [cut]).records[0].warm > 0
+    assert dataset(rig, [cut]).records[0].in_motion
 
 
 def test_rows_in_which_the_state_is_found_do_not_count() -> None:
     data = dataset(AXIS, [run_of(AXIS, 60.0, "open", "pulses", 3.0).slice(150)])
     one = data.records[0]
-    assert one.warm > 0
-    assert not one.share[:, : one.warm].any() and not one.window[: one.warm].any()
-    assert one.share[:, one.warm:].any()
+    rows = one.finding.sum()
+    assert one.finding[:rows].all() and rows > 0
+    assert not one.share[:, : rows].any() and not one.window[: rows].any()
+    assert one.share[:, rows:].any()
 
 
 def test_a_log_of_every_other_tick_of_the_rig_is_one_with_gaps() -> None:

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from station.errors import WorkError
-from station.estimation.dataset import dataset
+from station.estimation.dataset import WARM, dataset
 from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
 from station.estimation.pool import Pool
-from station.estimation.prediction import Predictor
+from station.estimation.prediction import SEARCH, Predictor, predict_run
+from station.model.simulate import build
 from station.rig import load_rig
 from station.runs import Run
 from tests.cli.conftest import step_run
+from tests.estimation.made import AXIS, run_of
 
 LOST = np.array([60, 61, 62, 150])
 
@@ -58,6 +61,25 @@ def test_what_stands_in_a_gap_never_reaches_a_prediction():
     heard = predictor.on(read).runs(space, np.zeros(space.size), data.own)[0]
     np.testing.assert_array_equal(found[0], found[1])
     assert np.abs(heard - found[0]).max() > 1.0
+
+
+def test_after_a_gap_of_which_nobody_knows_the_commands_the_state_is_found_again() -> None:
+    """A loop that turned round in a gap: in the log the command before it stands there."""
+    whole = run_of(AXIS, 60.0, "open", "pulses", 3.0)
+    kept = np.delete(np.arange(len(whole)), np.arange(100, 250))
+    gone = Run.from_columns("gone", "gone", {name: values[kept] for name, values in whole.columns().items()}
+                            | {"n": kept}, whole.metadata)
+    data = dataset(AXIS, [gone])
+    record, after = data.records[0], slice(250 + round(WARM * AXIS.sample_rate), None)
+    assert not record.in_motion and np.array_equal(np.flatnonzero(~record.window), np.arange(100, after.start))
+    model = build(data.rig, *SEARCH[:2])
+    watched = observers(data.rig, data.noise[0], (0.05, math.inf))
+    made, torque = predict_run(data, model, watched, 0, data.own[0])
+    assert np.abs(made[:, 0, :100] - whole.encoder[:100]).max() < 1.0
+    assert np.abs(made[:, 0, after] - whole.encoder[after]).max() < 2.0 and not torque[1, after].any()
+    held = replace(record, run=replace(record.run, extra={}), finding=np.zeros(len(whole), dtype=bool))
+    assert np.abs(predict_run(replace(data, records=(held,)), model, watched, 0, data.own[0])[0][1, 0, after]
+                  - whole.encoder[after]).max() > 50.0
 
 
 def test_a_run_of_another_rate_is_refused():

@@ -25,7 +25,8 @@ from tests.truth import SFLR, innovations
 def predict(model: Model, watched: Sequence[Observer], run: Run, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of a run that begins at rest."""
     data = dataset(model.rig, [run])
-    return predict_run(replace(data, records=(replace(data.records[0], warm=0),)), model, watched, 0, own)
+    at_rest = replace(data.records[0], finding=np.zeros(len(run), dtype=bool))
+    return predict_run(replace(data, records=(at_rest,)), model, watched, 0, own)
 
 
 def begun(angle: float, offset: float = 0.0) -> np.ndarray:
@@ -117,9 +118,9 @@ def test_of_a_run_that_begins_in_motion_the_state_is_found_before_anything_count
     watched = observers(data.rig, data.noise[0], (math.inf,))
     found, torque = predict_run(data, model, watched, 0, data.own[0])
     rest = predict(model, watched, moving, data.own[0])[0]
-    rows = slice(data.records[0].warm, None)
+    rows = ~data.records[0].finding
     error, at_rest = (np.sqrt(np.mean((moving.encoder[rows] - y[0, 0, rows]) ** 2)) for y in (found, rest))
-    assert data.records[0].warm > 0 and not torque[0, rows].any()
+    assert data.records[0].in_motion and not torque[0, rows].any()
     assert error < 1.0 and at_rest > 5.0 * error
 
 

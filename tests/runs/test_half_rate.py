@@ -88,6 +88,14 @@ def test_readings_between_the_rows_are_those_with_which_the_compensator_gave_the
     assert np.mean(off[inside] == 0.0) > 0.97 and np.mean(straight(run)[: len(off)][inside] == 0.0) < 0.8
 
 
+def test_commands_between_the_rows_stay_within_the_limit() -> None:
+    run = logged("lead")
+    limit = 0.8 * float(np.max(np.abs(run.command)))
+    cut = replace(run, command=np.clip(run.command, -limit, limit),
+                  metadata=run.metadata.model_copy(update={"command_limit": limit}))
+    assert np.max(np.abs(halved(cut).filled(500.0).command)) <= limit
+
+
 def test_commands_between_the_rows_have_no_bias() -> None:
     """Half a count, rounded up each time, is one: of a P loop whose readings no logged command tells."""
     run = logged("p", STEP | {"rest": 0.2}, late=0)

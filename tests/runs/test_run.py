@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from station.device.protocol import LIMITS
 from station.errors import WorkError
-from station.runs.run import Run, RunMetadata
+from station.runs.run import HELD, Run, RunMetadata
 from tests.runs.examples import full_run
 
 
@@ -106,6 +107,15 @@ def test_a_row_that_a_log_of_every_other_tick_lost_is_lost_there_too():
     whole = Run(name="made", **plain(t=n / 250.0, n=n)).filled(500.0)
     assert len(whole) == 61
     np.testing.assert_array_equal(np.flatnonzero(~whole.logged), sorted({*range(1, 61, 2), 22}))
+
+
+def test_what_acted_in_a_gap_is_known_as_long_as_a_device_holds_a_command():
+    assert LIMITS["hold_ticks_max"] == HELD
+    rows = np.delete(np.arange(60), [0, *range(10, 10 + HELD), *range(30, 31 + HELD)])
+    columns = {name: values[rows] for name, values in plain(60).items()}
+    filled = Run(name="made", **columns, n=rows.astype(float)).filled()
+    assert np.array_equal(np.flatnonzero(filled.blank), np.arange(29, 30 + HELD))
+    assert not filled.slice(0, 29).blank.any() and filled.slice(32).blank[:3].sum() == 0, "a shorter rest of it"
 
 
 def test_a_run_that_lost_more_than_it_logged_is_refused():

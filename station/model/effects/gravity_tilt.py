@@ -28,5 +28,6 @@ class GravityTilt(Effect):
 
     @classmethod
     def guesses(cls, rig, at):
+        # A table that is not level, and a pendulum.
         return [{"torque": share * torque_scale(rig), "angle": angle}
-                for share in (0.02,) for angle in (0.0, 0.5 * math.pi, math.pi, -0.5 * math.pi)]
+                for share in (0.02, 0.3) for angle in (0.0, 0.5 * math.pi, math.pi, -0.5 * math.pi)]
