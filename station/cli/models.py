@@ -18,8 +18,8 @@ from station.cli.options import (
     command,
     load_runs,
     need_outputs,
+    tell_compared,
     tell_lacks,
-    tell_unknown,
 )
 from station.cli.terminal import as_json, console, progress, quantity, row, say, table, write_text
 from station.errors import UsageError
@@ -60,12 +60,16 @@ def compare(runs: RunFiles, rig: RigName, json: Json = None, overwrite: Overwrit
     need_outputs(json, overwrite=overwrite, inputs=[rig, *runs])
     model = load_rig(rig)
     measured = load_runs(runs, model)
-    tell_unknown(runs, measured)
     with progress("simulating the tests") as update:
-        found = against(model, measured, update).measures
+        compared = against(model, measured, update)
+    tell_compared(runs, measured, compared)
+    found = compared.measures
     if as_json(json, {"runs": found}):
         return
     console().print(comparison_table(model.name, found))
+
+
+SIDES = ("measured", "simulated")
 
 
 def comparison_table(rig: str, found: list[dict[str, Any]]) -> Table:
@@ -77,8 +81,9 @@ def comparison_table(rig: str, found: list[dict[str, Any]]) -> Table:
                  for channel in ("encoder", "accel")]
         step = []
         if item["measured"]:
-            step = [quantity(item[side]["overshoot_percent"], "%", 3) for side in ("measured", "simulated")]
-            step += [quantity(item[side]["settling_time"], "s", 3, none="never") for side in ("measured", "simulated")]
+            step = [quantity(item[side]["overshoot_percent"], "%", 3) if item[side] else "-" for side in SIDES]
+            step += [quantity(item[side]["settling_time"], "s", 3, none="never") if item[side] else "-"
+                     for side in SIDES]
         row(shown, item["run"], *error, *(step or ["-"] * 4))
     return shown
 

@@ -12,6 +12,7 @@ from station.cli.terminal import note
 from station.errors import UsageError, WorkError
 
 if TYPE_CHECKING:
+    from station.diagnose.compare import Comparison
     from station.rig import Rig
     from station.runs.run import Run
 
@@ -66,13 +67,29 @@ def tell_lacks(path: Path, run: Run) -> None:
         note(f"{path}: {run.lost_samples} samples are missing; simulations run on through the gaps")
 
 
+NAME_IT = 'name the controller, in a CSV as # controller = {"kind": "p", "gain": 2.0} (kinds: docs/other_rig.md)'
+
+
 def tell_unknown(paths: list[Path], runs: list[Run]) -> None:
     """Say on standard error which closed loops cannot be simulated, for nothing says what closed them."""
     for path, run in zip(paths, runs, strict=True):
         if run.loop_unknown:
             note(f"{path}: the log does not say what closed its loop, so its commands are followed as logged, not "
-                 "worked out from its reference, and the simulated angle drifts: its error says little; name the "
-                 'controller, in a CSV as # controller = {"kind": "p", "gain": 2.0} (kinds: docs/other_rig.md)')
+                 f"worked out from its reference, and the simulated angle drifts: its error says little; {NAME_IT}")
+
+
+def tell_compared(paths: list[Path], runs: list[Run], compared: Comparison) -> None:
+    """Say on standard error which closed loops are predicted a time ahead and not simulated, and what is not as logs
+    say."""
+    for sentence in compared.amiss:
+        note(sentence)
+    for path, run, taken, ahead in zip(paths, runs, compared.runs, compared.seconds_ahead, strict=True):
+        if ahead is not None:
+            why = ("the log does not say what closed its loop" if run.loop_unknown else
+                   "the log does not say rightly what closed its loop" if taken.loop_unknown else
+                   "a log that begins in motion, or lost its reference, does not say how to close its loop again")
+            note(f"{path}: {why}, so it is predicted {ahead:g} s ahead of what was read, by its logged commands, and "
+                 f"not simulated as a whole{f'; {NAME_IT}' if run.loop_unknown else ''}")
 
 
 def rig_of(run: Run, path: Path) -> Rig:

@@ -9,7 +9,17 @@ from typing import Annotated
 
 import typer
 
-from station.cli.options import Json, Overwrite, RunFiles, command, load_runs, need_outputs, rig_of, tell_unknown
+from station.cli.options import (
+    Json,
+    Overwrite,
+    RunFiles,
+    command,
+    load_runs,
+    need_outputs,
+    rig_of,
+    tell_compared,
+    tell_unknown,
+)
 from station.cli.terminal import as_json, progress, say
 from station.errors import UsageError
 
@@ -84,7 +94,6 @@ def report(
         raise UsageError(f"--out {out}: a page's name ends in .html")
     nominal = None if rig is None else load_rig(rig)
     loaded = load_runs(runs, nominal)
-    tell_unknown(runs, loaded)
     models = {"rig of the run" if rig is None else Path(rig).name: nominal or rig_of(loaded[0], runs[0])}
     if extended is not None:
         name = Path(extended).name      # where a file lies is nobody's business on a page that is shared
@@ -93,6 +102,7 @@ def report(
     for name, model in models.items():
         with progress(f"simulating the tests by {name}") as update:
             compared[name] = compare(model, loaded, update)
+    tell_compared(runs, loaded, next(iter(compared.values())))
     write_page(out, beside_html(compared, [file_hash(path) for path in runs]))
     if as_json(json, {"file": out, "simulated": {name: one.measures for name, one in compared.items()}}):
         return

@@ -82,12 +82,15 @@ def _same_test(one: Run, other: Run) -> bool:
     return not one.loop_unknown and bool(np.array_equal(one.reference[:rows], other.reference[:rows]))
 
 
-def measures(run: Run, simulation: Simulation, rows: np.ndarray) -> dict[str, object]:
-    """One run against one simulation, as ``compare --json`` writes it, of the ``rows`` (n) that count."""
+def measures(run: Run, simulation: Simulation, rows: np.ndarray, ahead: float | None = None) -> dict[str, object]:
+    """One run against one simulation, as ``compare --json`` writes it, of the ``rows`` (n) that count.
+
+    What is predicted so many seconds ``ahead`` is no loop's answer to a step.
+    """
     found: dict[str, object] = {"run": run.name,
                                 "encoder": {"nrmse": nrmse(run.encoder[rows], simulation.encoder[rows])}}
     if run.accel is not None and simulation.accel is not None:
         found["accel"] = {"nrmse": nrmse(run.accel[rows], simulation.accel[rows])}
     found["measured"] = step_measures(run, run.encoder)
-    found["simulated"] = step_measures(run, simulation.encoder)
+    found["simulated"] = step_measures(run, simulation.encoder) if ahead is None else {}
     return found

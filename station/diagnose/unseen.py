@@ -50,9 +50,10 @@ def unseen(search: Selection, finding: Finding) -> Unseen:
     """Fit the causes that are said and the rig alone again without each run in turn, and judge them by that run."""
     predictor, nothing, causes = search.predictor, search.fits[frozenset()], finding.said.causes
     unfitted = [nominal(predictor.data, nothing)] * len(predictor.data.runs)
-    left_out = {causes: leave_each_out(predictor, finding.fit.weighing, finding.fit)}
+    far = not finding.left.is_noise
+    left_out = {causes: leave_each_out(predictor, finding.fit.weighing, finding.fit, far=far)}
     if causes:
-        left_out[frozenset()] = leave_each_out(predictor, search.own_weighing(nothing), nothing)
+        left_out[frozenset()] = leave_each_out(predictor, search.own_weighing(nothing), nothing, far=far)
     alone, said = left_out[frozenset()], left_out[causes]
     refit = simulate_unseen(predictor, alone)
     densities = {keys: log_densities(predictor, search.compared, fits) for keys, fits in left_out.items()}

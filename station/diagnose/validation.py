@@ -91,19 +91,20 @@ def nominal(data: Dataset, found: Fit) -> Fit:
                    weighing=replace(found.weighing, differ=(0.0, 0.0)))
 
 
-def leave_each_out(predictor: Predictor, weighing: Weighing, found: Fit) -> list[Fit]:
+def leave_each_out(predictor: Predictor, weighing: Weighing, found: Fit, *, far: bool) -> list[Fit]:
     """For every run a fit that leaves that run out.
 
     Begun from the fit of all runs, since the way from the prior ends in side valleys; what the left-out run alone had
-    said is lost on the way, for there the prior alone speaks.  Where in a gap the motor stood at the run's start, and a
-    zero of the encoder that no other run has, are its own, as its starting angle is, and stay.
+    said is lost on the way, for there the prior alone speaks.  That is ``far`` where more than noise is left.  Where in
+    a gap the motor stood at the run's start, and a zero of the encoder that no other run has, are its own, as its
+    starting angle is, and stay.
     """
     def without(r: int) -> Fit:
         weights = np.ones(len(predictor.data.runs))
         weights[r] = 0.0
         with suppress(*DIVERGED):
             left = fit(predictor, found.space, weighing, found.x, found.own, runs=weights,
-                       jacobian=found.jacobian, iterations=6, renewals=2).light
+                       jacobian=found.jacobian, iterations=12 if far else 6, renewals=4 if far else 2).light
             return replace(left, x=found.space.with_own_of(left.x, found.x, r, predictor.data.zero_groups))
         return found.light
 
@@ -249,6 +250,11 @@ def missed_by_more(data: Dataset, before: Sequence[Simulation], after: Sequence[
     return not log_squares(after) <= log_squares(before)       # what is no number is no better
 
 
+def _loops_step(c: RunComparison, made: Simulation) -> dict[str, float | None]:
+    """Step figures of a simulation; what is predicted a time ahead is no loop's answer to a step."""
+    return step_figures(c.run, made.encoder, c.part) if c.seconds_ahead is None else {}
+
+
 def gain(data: Dataset, comparisons: Sequence[RunComparison], after: Sequence[Simulation],
          ahead: tuple[Sequence[dict[str, float]], Sequence[dict[str, float]]]) -> Gain:
     """The diagnosis file's gain: nrmse over all held-out runs and the share of the explainable error removed.
@@ -259,8 +265,7 @@ def gain(data: Dataset, comparisons: Sequence[RunComparison], after: Sequence[Si
     for c, made, old, new, between in zip(comparisons, after, *ahead, repeats(data.runs), strict=True):
         runs.append(RunGain(run=c.run.name, seconds_ahead=c.seconds_ahead, repeats=between,
                             measured=step_figures(c.run, c.run.encoder, c.part),
-                            before=step_figures(c.run, c.before.encoder, c.part),
-                            after=step_figures(c.run, made.encoder, c.part),
+                            before=_loops_step(c, c.before), after=_loops_step(c, made),
                             ahead={time: ChannelGain(nrmse_before=old[time], nrmse_after=new[time])
                                    for time in old if np.isfinite([old[time], new[time]]).all()}))
     for channel, sigma in zip(CHANNELS[: data.channels], data.noise, strict=False):

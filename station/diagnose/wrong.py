@@ -14,20 +14,20 @@ from station.diagnose.thresholds import SHOWN_COUNTS, SHOWN_SETTLING, SHOWN_SHAR
 def wrong(comparisons: Sequence[RunComparison], noise: Sequence[float]) -> list[Wrong]:
     """What the nominal rig gets wrong, the largest first; beside an nrmse stands the floor that noise alone sets.
 
-    Peaks are counted from the first reading of the run.
+    Peaks are counted from the first reading of the run.  What is predicted a time ahead is no loop's answer to a test.
     """
     found: list[tuple[float, str, Channel, str, float | None, float | None, str | None]] = []
     for c in comparisons:
         run, simulation, rows = c.run, c.before, c.rows
         count = 100.0 / max(np.ptp(run.reference), 1.0)
         measured, simulated = (step_measures(run, encoder, c.part) for encoder in (run.encoder, simulation.encoder))
-        for name, m in measured.items():
+        for name, m in measured.items() if c.seconds_ahead is None else ():
             s = simulated[name]
             if name == "overshoot_percent" and m is not None and s is not None and abs(m - s) > SHOWN_COUNTS * count:
                 found.append((abs(m - s), run.name, "encoder", name, s, m, None))
             elif name == "settling_time" and m != s and (m is None or s is None or abs(m - s) > SHOWN_SETTLING):
                 found.append((0.0, run.name, "encoder", name, s, m, None))
-        if not measured:
+        if not measured and c.seconds_ahead is None:
             m, s = (float(np.max(np.abs(encoder[rows] - run.encoder[0])))
                     for encoder in (run.encoder, simulation.encoder))
             if abs(m - s) > SHOWN_COUNTS:

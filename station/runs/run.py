@@ -226,7 +226,7 @@ class Run:
         if self.lost_samples:
             row = int(np.argmax(np.diff(self.n) > 1)) + 1
             raise WorkError(f"{self.name}: {self.lost_samples} samples lost, the first before row {row}; "
-                            f"use the rows before it (Run.slice(0, {row}))")
+                            f"use the rows before it (station trim --to {self.t[row - 1]:g}; Run.slice(0, {row}))")
 
     def _repr_html_(self) -> str:
         known = self.metadata

@@ -27,8 +27,8 @@ class Row:
     name: str
     test: str
     controller: str
-    followed: bool
-    """Whether simulations follow its logged commands, for nothing says what closed its loop."""
+    ahead: float | None
+    """Seconds ahead that it is predicted, where its loop cannot be closed again."""
     samples: int
     file_sha256: str | None
     errors: dict[str, dict[str, float]]
@@ -55,7 +55,8 @@ def beside_html(compared: Mapping[str, Comparison], hashes: Sequence[str | None]
                 for r, (run, made) in enumerate(zip(runs, drawn, strict=True))}
     measured = [dict(zip(by_role, found, strict=True))
                 for found in zip(*(one.measures for one in by_role.values()), strict=True)]
-    rows = list(map(_row, runs, drawn, measured, repeats(runs), hashes or [None] * len(runs)))
+    rows = list(map(_row, runs, drawn, measured, repeats(runs), hashes or [None] * len(runs),
+                    by_role[ROLES[-1]].seconds_ahead))
     rigs = {name: (text := one.rig.to_toml(), hashlib.sha256(text.encode()).hexdigest())
             for name, one in compared.items()}
     return render("beside.html.j2", figures=pictures, rows=rows, roles=roles, rigs=rigs, points=points,
@@ -64,14 +65,14 @@ def beside_html(compared: Mapping[str, Comparison], hashes: Sequence[str | None]
 
 
 def _row(run: Run, made: Mapping[str, Simulation], measured: Mapping[str, dict[str, Any]], spread: dict[str, float],
-         sha256: str | None) -> Row:
+         sha256: str | None, ahead: float | None) -> Row:
     """One run; ``measured``: by role, as ``compare --json`` has it."""
     errors = {channel: {role: one[channel]["nrmse"] for role, one in measured.items()}
               for channel in figures.channels_of(run, made)}
     about = run.metadata
-    return Row(run.name, wording.test_words(about.test), wording.test_words(about.controller), run.loop_unknown,
+    return Row(run.name, wording.test_words(about.test), wording.test_words(about.controller), ahead,
                len(run), sha256, errors, step_figures(run, run.encoder),
-               {role: step_figures(run, one.encoder) for role, one in made.items()}, spread)
+               {role: {} if ahead else step_figures(run, one.encoder) for role, one in made.items()}, spread)
 
 
 def _sentence(rows: Sequence[Row], roles: Mapping[str, str]) -> str:

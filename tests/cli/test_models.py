@@ -41,7 +41,7 @@ def test_compare_has_the_form_of_the_contract(station, step):
     assert one["measured"]["overshoot_percent"] == pytest.approx(one["simulated"]["overshoot_percent"], abs=2.1)
 
 
-def test_compare_says_of_a_closed_loop_without_a_controller_why_it_drifts(station, tmp_path):
+def test_compare_says_of_a_closed_loop_without_a_controller_that_it_is_predicted(station, tmp_path):
     run = step_run()
     for name, known, said in (("unknown", {"kind": "unknown"}, True), ("named", {"kind": "p", "gain": 2.0}, False)):
         metadata = run.metadata.model_copy(update={"controller": known})
@@ -49,7 +49,13 @@ def test_compare_says_of_a_closed_loop_without_a_controller_why_it_drifts(statio
         ended = station("compare", "--rig", "sflr", tmp_path / f"{name}.csv")
         told = [line for line in ended.err.splitlines() if "does not say what closed its loop" in line]
         assert ended.status == 0 and len(told) == said
-        assert not said or ("drifts" in told[0] and "# controller = " in told[0] and "unknown.csv" in told[0])
+        assert not said or all(word in told[0] for word in ("predicted 0.5 s ahead", "# controller = ", "unknown.csv"))
+        (found,) = json.loads(station("compare", "--rig", "sflr", tmp_path / f"{name}.csv", "--json", "-").out)["runs"]
+        assert found["measured"] and bool(found["simulated"]) != said, "no loop answered the step"
+    wrong = run.metadata.model_copy(update={"controller": {"kind": "p", "gain": 20.0}})
+    export_run(Run("wrong", metadata=wrong, **run.columns()), tmp_path / "wrong.csv")
+    told = station("compare", "--rig", "sflr", tmp_path / "wrong.csv").err
+    assert "commands are not those of the controller that the log names" in told and "predicted 0.5 s ahead" in told
     opened = Run("open", run.t, run.command, run.command, run.encoder, run.accel)
     export_run(opened, tmp_path / "open.csv")
     assert "what closed its loop" not in station("compare", "--rig", "sflr", tmp_path / "open.csv").err

@@ -74,7 +74,7 @@ def test_an_angle_between_the_guesses_is_read_off_two_of_them(angle: float) -> N
     runs = make_case(8064, [hidden], nominal=TWO_MASS, count=5).runs
     predictor = predictions(Rig.model_validate(TWO_MASS), runs)
     parent, pool = base_fit(predictor), candidates(predictor.data.rig)
-    (said,) = [one for one in screen(predictor, parent, pool)[0] if one.candidate.key == TILT]
+    said, *_ = [one for one in screen(predictor, parent, pool)[0] if one.candidate.key == TILT]
     assert abs(math.remainder(said.guess["angle"] - angle, 2.0 * math.pi)) < 0.5
     assert said.gain > 10.0
 

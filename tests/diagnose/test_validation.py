@@ -161,7 +161,7 @@ def test_every_run_is_left_out_once_from_where_the_fit_of_all_ended(monkeypatch:
     space = SimpleNamespace(with_own_of=lambda x, other, run, zero_group: f"{x}, {other}'s own of {run}")
     found = SimpleNamespace(space=space, x="here", own=None, jacobian="known", light="of all")
     predictor = SimpleNamespace(data=SimpleNamespace(runs=[None] * 3, zero_groups=(0,) * 3), pool=Pool())
-    left = leave_each_out(predictor, None, found)
+    left = leave_each_out(predictor, None, found, far=True)
     assert [one.x for one in left[:2]] == ["without 0, here's own of 0", "without 1, here's own of 1"]
     assert left[2] == "of all"
     assert [row[0] for row in asked] == [[0.0, 1.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 0.0]]

@@ -55,13 +55,13 @@ def test_it_says_what_compare_measures_and_what_repeats_differ_by(runs: list[Run
     assert f"{simulated['overshoot_percent']:.1f} %, " in page
     assert simulated["overshoot_percent"] > measured["overshoot_percent"] + 5.0
     assert "2026-03-01" in page and "12ab" in page and "± the standard deviation between repeats" in page
-    assert "drifts" not in page
+    assert "predicted" not in page
 
 
 def test_one_rig_alone_is_named_as_it_is_and_a_loop_that_is_not_known_told(runs: list[Run]) -> None:
     page = text_of(beside_html({"its rig": compare(load_rig("sflr"), runs[2:])}))
     assert "1 run: the angle is off by" in page and "as its rig simulates it" in page and "→" not in page
-    assert "its commands followed as logged" in page and "its angle drifts then" in page
+    assert "; predicted 0.5 s ahead; " in page and "one whose loop cannot be closed again" in page
     assert HOSTILE not in page.replace("&lt;", "<x")
 
 

@@ -11,7 +11,7 @@ from station.diagnose.result import DiagnosisResult, RunComparison
 from station.model.effects import effect_class
 from station.model.simulate import simulate
 from station.rig import Rig, load_rig
-from station.runs.run import Run, RunMetadata
+from station.runs.run import HELD, Run, RunMetadata
 from station.view import remaining
 from station.view.report import report_html
 from station.view.residuals import Residual, residuals
@@ -92,12 +92,14 @@ def test_every_run_is_predicted_from_where_the_effects_count_their_angle() -> No
     assert wrong[2].after.std() > 1.2 * right[2].after.std()
 
 
-def test_rows_that_were_lost_do_not_count(late: list[Run]) -> None:
+@pytest.mark.parametrize(("lost", "without"), [(HELD, HELD), (20, 20 + 500)])
+def test_rows_that_were_lost_do_not_count(late: list[Run], lost: int, without: int) -> None:
+    """And of a long gap those neither in which the state is found again."""
     run = late[0]
-    kept = np.delete(np.arange(len(run.t)), np.arange(400, 420))
+    kept = np.delete(np.arange(len(run.t)), np.arange(400, 400 + lost))
     columns = {name: getattr(run, name)[kept] for name in ("t", "reference", "command", "encoder", "accel")}
     found = residuals(result(RIG, LATE, [replace(run, n=kept, **columns).filled(), late[1]]))
-    assert len(found[0].after) == len(found[0].command) == len(run.t) - 20
+    assert len(found[0].after) == len(found[0].command) == len(run.t) - without
     assert found[1].after.std() == pytest.approx(found[1].noise, rel=0.15)
 
 
