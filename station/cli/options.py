@@ -64,7 +64,10 @@ def tell_lacks(path: Path, run: Run) -> None:
     if run.read_as:
         note(f"{path}: {run.read_as}")
     if run.lost_samples:
-        note(f"{path}: {run.lost_samples} samples are missing; simulations run on through the gaps")
+        from station.runs.run import HELD
+
+        note(f"{path}: {run.lost_samples} samples are missing; simulations run on through the gaps, and after one of "
+             f"more than {HELD} fits find the state again, in rows that do not count")
 
 
 NAME_IT = 'name the controller, in a CSV as # controller = {"kind": "p", "gain": 2.0} (kinds: docs/other_rig.md)'

@@ -79,7 +79,8 @@ def print_comparison(comparisons: Sequence[RunComparison], console: Console,
     if ahead:
         names = ", ".join(c.run.name for c in ahead)
         console.print(_plain(f"{names}: predicted {ahead[0].seconds_ahead:g} s ahead, for a loop of unknown "
-                             "controller, or in motion from the start, cannot be simulated."))
+                             "controller, in motion from the start, or with a gap in which its reference moved, cannot "
+                             "be simulated."))
 
 
 def _print_ahead(found: Diagnosis, console: Console) -> None:
