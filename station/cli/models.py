@@ -15,6 +15,7 @@ from station.cli.options import (
     Overwrite,
     RigName,
     RunFiles,
+    as_logged,
     command,
     load_runs,
     need_outputs,
@@ -61,7 +62,7 @@ def compare(runs: RunFiles, rig: RigName, json: Json = None, overwrite: Overwrit
     model = load_rig(rig)
     measured = load_runs(runs, model)
     with progress("simulating the tests") as update:
-        compared = against(model, measured, update)
+        compared = against(model, as_logged(model, measured), update)
     tell_compared(runs, measured, compared)
     found = compared.measures
     if as_json(json, {"runs": found}):

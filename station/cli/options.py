@@ -81,11 +81,19 @@ def tell_unknown(paths: list[Path], runs: list[Run]) -> None:
                  f"worked out from its reference, and the simulated angle drifts: its error says little; {NAME_IT}")
 
 
-def tell_compared(paths: list[Path], runs: list[Run], compared: Comparison) -> None:
-    """Say on standard error which closed loops are predicted a time ahead and not simulated, and what is not as logs
+def as_logged(rig: Rig, runs: list[Run]) -> list[Run]:
+    """The runs, those whose commands are not their controller's without it; say on standard error what is not as logs
     say."""
-    for sentence in compared.amiss:
+    from station.diagnose.logs import as_logged as taken
+
+    found, said = taken(rig, [run.filled(rig.sample_rate) for run in runs])
+    for sentence in said:
         note(sentence)
+    return found
+
+
+def tell_compared(paths: list[Path], runs: list[Run], compared: Comparison) -> None:
+    """Say on standard error which closed loops are predicted a time ahead and not simulated."""
     for path, run, taken, ahead in zip(paths, runs, compared.runs, compared.seconds_ahead, strict=True):
         if ahead is not None:
             why = ("the log does not say what closed its loop" if run.loop_unknown else

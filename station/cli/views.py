@@ -13,6 +13,7 @@ from station.cli.options import (
     Json,
     Overwrite,
     RunFiles,
+    as_logged,
     command,
     load_runs,
     need_outputs,
@@ -98,10 +99,10 @@ def report(
     if extended is not None:
         name = Path(extended).name      # where a file lies is nobody's business on a page that is shared
         models[f"extended {name}" if name in models else name] = load_rig(extended)
-    compared = {}
+    compared, taken = {}, as_logged(next(iter(models.values())), loaded)
     for name, model in models.items():
         with progress(f"simulating the tests by {name}") as update:
-            compared[name] = compare(model, loaded, update)
+            compared[name] = compare(model, taken, update)
     tell_compared(runs, loaded, next(iter(compared.values())))
     write_page(out, beside_html(compared, [file_hash(path) for path in runs]))
     if as_json(json, {"file": out, "simulated": {name: one.measures for name, one in compared.items()}}):

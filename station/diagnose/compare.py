@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from station import markup
-from station.diagnose.logs import as_logged
 from station.diagnose.measures import measures
 from station.diagnose.result import CHANNELS
 from station.diagnose.validation import seconds_ahead, settled_run, whole_run
@@ -33,8 +32,6 @@ class Comparison:
     """(n) of each those that count: that were logged, and not those from which the state of a rig in motion is told."""
     seconds_ahead: tuple[float | None, ...]
     """How far ahead each is predicted, where its loop cannot be closed again; None: it is simulated as a whole."""
-    amiss: tuple[str, ...] = ()
-    """What is not as the logs say, a sentence each."""
 
     @property
     def measures(self) -> list[dict[str, Any]]:
@@ -60,11 +57,10 @@ def compare(rig: Rig, runs: Sequence[Run], progress: Callable[[float], None] = l
     """Simulate the tests of runs on a rig, starting angle and accelerometer offset estimated per run.
 
     Where the first readings themselves suit a run better than that estimate, they are taken: a run that the rig
-    simulated compares to itself by 0.  A loop that cannot be closed again is predicted a time ahead, one whose commands
-    are not those of the controller that its log names among them.  WorkError: a run's rate is not the rig's, or its
-    controller reads a sensor that the rig has not.  ``progress`` is told the share that is done.
+    simulated compares to itself by 0.  A loop that cannot be closed again is predicted a time ahead.  WorkError: a
+    run's rate is not the rig's, or its controller reads a sensor that the rig has not.  ``progress`` is told the share
+    that is done.
     """
-    runs, amiss = as_logged(rig, [run.filled(rig.sample_rate) for run in runs])
     data = dataset(rig, runs)
     model = build(data.rig)
     made = []
@@ -72,7 +68,7 @@ def compare(rig: Rig, runs: Sequence[Run], progress: Callable[[float], None] = l
         made.append(_nearest(data, model, r))
         progress((r + 1) / len(data.runs))
     ahead = tuple(seconds_ahead(data, r) for r in range(len(data.runs)))
-    return Comparison(rig, data.runs, tuple(made), tuple(record.window for record in data.records), ahead, tuple(amiss))
+    return Comparison(rig, data.runs, tuple(made), tuple(record.window for record in data.records), ahead)
 
 
 def _nearest(data: Dataset, model: Model, r: int) -> Simulation:

@@ -185,8 +185,8 @@ def test_a_run_whose_loop_cannot_be_simulated_is_said_to_be_predicted() -> None:
     assert "0.5 s ahead" not in Page(report_html(known)).text
     lost = [replace(c, seconds_ahead=0.5) for c in known.comparisons[:3]]
     text = Page(report_html(replace(known, comparisons=[*lost, *known.comparisons[3:]]))).text
-    assert "3 of these runs cannot be simulated as a whole loop (controller unknown, in motion from the start, or a gap " \
-           "in which the reference moved): they are predicted 0.5 s ahead" in text
+    assert "3 of these runs cannot be simulated as a whole loop (controller unknown, in motion from the start, or " \
+           "a gap in which the reference moved): they are predicted 0.5 s ahead" in text
 
 
 def test_what_is_known_to_be_the_same_stands_beside_the_cause() -> None:
