@@ -85,7 +85,8 @@ class Planner:
     def reach(self) -> float:
         """As far as a test may take the arm from where it begins, counts: TRAVEL, and not beyond ``limits.travel``.
 
-        Where the rig file has none, an axis may have ends that nobody knows: FURTHER, but LITTLE in any case.
+        Where the rig file has none, an axis may have ends that nobody knows: FURTHER, but LITTLE in any case.  As far
+        as a run went it may go again.
         """
         turn, limits = self.rig.encoder.counts_per_revolution, self.rig.limits
         if limits is not None and limits.travel is not None:
@@ -93,7 +94,7 @@ class Planner:
         if not self.runs:
             return TRAVEL * turn
         went = max(float(np.max(np.abs(run.encoder - run.encoder[0]))) for run in self.runs)
-        return min(TRAVEL * turn, max(FURTHER * went, LITTLE * turn))
+        return max(went, min(TRAVEL * turn, max(FURTHER * went, LITTLE * turn)))
 
     def simulated(self, model: Model, run: Run, rounding: bool | Literal["inside"] = False,
                   aside: float = 0.0) -> Simulation:

@@ -242,6 +242,8 @@ def test_no_test_goes_beyond_what_the_rig_file_or_the_runs_say_a_rig_can_go(plan
         return Planner(rig, planner.sigma, planner.pool, runs).reach
 
     assert (reach(SFLR), reach(SFLR, short), reach(SFLR, short, far)) == (turn / 2.0, turn / 20.0, 120.0)
+    beyond = replace(short, encoder=np.linspace(0.0, turn, len(short)))
+    assert reach(SFLR, beyond) == turn, "where it went before"
     assert reach(stated) == reach(stated, far) == pytest.approx(80.0)
     choice = first_test(stated)
     model = build(stated.meshed())

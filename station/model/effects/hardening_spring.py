@@ -21,7 +21,7 @@ class HardeningSpring(Effect):
     telling = ("the resonance moves with the size of the swing; a wrong stiffness (drive.stiffness, clamp.stiffness)"
                " moves it alike at every size, backlash matters most in small swings")
 
-    cubic: float = parameter("N m/rad^3", -1e9, 1e9, neutral=0.0)
+    cubic: float = parameter("N m/rad^3", -1e15, 1e15, neutral=0.0)
 
     @classmethod
     def guesses(cls, rig, at):
