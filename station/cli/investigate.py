@@ -198,7 +198,7 @@ def _tell(kept: Folder, found: Investigation) -> None:
         say(f"{'run':28s} {'verdict':18s} leading causes")
     say(f"{step.run.name:28s} {wording.VERDICTS[said.verdict]:18s} {', '.join(named) or 'none'}"
         + (f"; rivals {', '.join(rivals)}" if rivals else ""))
-    if found.outcome is None and step.result.plan is not None and step.result.plan.test is not None:
-        test = step.result.plan.test
+    if found.outcome is None and step.result.choice.plan.test is not None:
+        test = step.result.choice.plan.test
         words = f"{test['kind'].replace('_', ' ')} {test['amplitude']:g} ({test['controller']['kind']})"
-        say(f"    next: {words}: {step.result.plan.why}")
+        say(f"    next: {words}: {step.result.choice.plan.why}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,10 +15,20 @@ from station.diagnose.equivalences import completed, rivals, standing, with_word
 from station.diagnose.experiment import choose
 from station.diagnose.finding import between_runs, bought, find
 from station.diagnose.logs import as_logged
-from station.diagnose.odds import estimates, in_order, with_outside
+from station.diagnose.odds import Odds, estimates, in_order, with_outside
 from station.diagnose.ranking import notes, ranking
-from station.diagnose.result import Cause, Diagnosis, DiagnosisResult, Disturbance, Ranked, RunComparison, RunFile
-from station.diagnose.selection import EFFORTS, select
+from station.diagnose.result import (
+    Cause,
+    Choice,
+    Diagnosis,
+    DiagnosisResult,
+    Disturbance,
+    Ranked,
+    RunComparison,
+    RunFile,
+    Verdict,
+)
+from station.diagnose.selection import EFFORTS, Selection, select
 from station.diagnose.thresholds import FEW
 from station.diagnose.unseen import unseen
 from station.diagnose.validation import gain, seconds_ahead
@@ -105,13 +115,13 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
                    for k, (run, before, refit, after, part) in enumerate(
                        zip(runs, *judged.simulations, parts, strict=True))]
     report("choosing the next experiment", 0.96)
-    choice = choose(search, finding.odds, decision)
+    choice = cache(partial(_chosen, search, finding.odds, decision))
     decided = decision in ("explained", "nothing_missing") and len(given) >= FEW
     ranked = ranking(search, told, judged)
     diagnosis = Diagnosis(
         verdict=decision, wrong=wrong(comparisons, data.noise), causes=causes,
         gain=gain(data, comparisons, judged.simulations[2], judged.ahead),
-        next_experiment=with_word(None if decided else choice.next, decision, told, said.causes, known),
+        next_experiment=with_word(None if decided else choice().next, decision, told, said.causes, known),
         outside=finding.outside,
         disturbance=_disturbance(predictor, [(nothing.space, np.zeros(nothing.space.size)), (nothing.space, nothing.x),
                                              (shown.space, shown.x)]),
@@ -124,9 +134,13 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     draw = partial(_drawn, refit_rig, extended, drawn, [(c.effect, c.at) for c in causes], pool)
     report("done", 1.0)
     return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, ranked, draw, constants,
-                           notes(rig, search, finding, judged), plan=choice.plan, unseen=choice.unseen,
-                           prediction=choice.prediction,
+                           notes(rig, search, finding, judged), choose=choice,
                            equivalences=[row.equivalence.sentence for row in known] if causes else [], amiss=amiss)
+
+
+def _chosen(search: Selection, odds: Odds, decision: Verdict) -> Choice:
+    with threadpool_limits(1):
+        return choose(search, odds, decision)
 
 
 def _drawn(rig: Rig, extended: Rig, runs: Sequence[Run], causes: Sequence[tuple[str, str]], pool: Pool,

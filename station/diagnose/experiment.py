@@ -7,7 +7,7 @@ the one that makes the catalogue visible (``showing``).
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -16,7 +16,7 @@ from station.diagnose.candidates import candidates
 from station.diagnose.forecasts import Belief, built
 from station.diagnose.odds import Odds
 from station.diagnose.planner import Planner, Worth
-from station.diagnose.result import NextExperiment, Prediction, Verdict
+from station.diagnose.result import Choice, NextExperiment, Verdict
 from station.diagnose.selection import Selection
 from station.diagnose.separating import between
 from station.diagnose.showing import showing
@@ -41,20 +41,6 @@ PRIOR_REACH = 2.0
 """Times the reach that a test may take where the stated uncertainty may put the rig."""
 PRIOR_DRAWS = 6
 """Draws from the rig's stated uncertainty on which the first test must behave."""
-
-
-@dataclass(frozen=True)
-class Choice:
-    """What to do next, and what the rivals say will come of it."""
-
-    next: NextExperiment
-    """For the file: the test, or none and why no test would decide."""
-    prediction: Prediction | None
-    plan: NextExperiment
-    """The test that is worth most even so: the same, or where none decides, the one that shows most of what these
-    runs could not have shown."""
-    unseen: int = 0
-    """Effects of a usual size that the plan would show and the runs so far could not have shown."""
 
 
 def choose(search: Selection, odds: Odds, verdict: Verdict) -> Choice:
@@ -130,7 +116,7 @@ def _choice(found: Worth | None, planner: Planner) -> Choice:
     if found is None:
         none = NextExperiment(test=None, why="no test of this station keeps this rig within "
                                              f"{planner.reach:.0f} counts of where it begins")
-        return Choice(none, None, none)
+        return Choice(none, plan=none)
     asked = NextExperiment(test=found.trial.complete(), why=found.why)
     return Choice(asked, found.prediction, asked, found.shown)
 

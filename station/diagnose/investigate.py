@@ -53,7 +53,7 @@ class Step:
         found = self.result.diagnosis
         if found.verdict == "explained":
             return all(cause.probability >= SETTLED for cause in found.causes)
-        return found.verdict == "nothing_missing" and self.result.unseen == 0
+        return found.verdict == "nothing_missing" and self.result.choice.unseen == 0
 
 
 @dataclass
@@ -118,8 +118,8 @@ def investigate(rig: Rig, run_test: RunTest, find: Find, *, budget: int = BUDGET
         found.steps.append(Step(run, why, result))
         found.outcome, found.why = ending(found.steps, budget) or (None, "")
         on_step(found)
-        if found.outcome is None and (result.plan is None or result.plan.test is None):
+        if found.outcome is None and result.choice.plan.test is None:
             found.outcome, found.why = "hopeless", "this station has no test that the rig could be put to"
         elif found.outcome is None:
-            test, why = result.plan.test, result.plan.why
+            test, why = result.choice.plan.test, result.choice.plan.why
     return found

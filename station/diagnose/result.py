@@ -291,6 +291,20 @@ class Prediction:
 
 
 @dataclass(frozen=True)
+class Choice:
+    """What to do next, and what the rivals say will come of it."""
+
+    next: NextExperiment = field(default_factory=lambda: NextExperiment(test=None, why=""))
+    """For the file: the test, or none and why no test would decide."""
+    prediction: Prediction | None = None
+    plan: NextExperiment = field(default_factory=lambda: NextExperiment(test=None, why=""))
+    """The test that is worth most even so: the same, or where none decides, the one that shows most of what these
+    runs could not have shown."""
+    unseen: int = 0
+    """Effects of a usual size that the plan would show and the runs so far could not have shown."""
+
+
+@dataclass(frozen=True)
 class DiagnosisResult:
     """A diagnosis with all that a report needs."""
 
@@ -305,12 +319,8 @@ class DiagnosisResult:
     constants: dict[str, Estimate] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     seconds: float = 0.0
-    plan: NextExperiment | None = None
-    """The best further test, also where the verdict asks for none or none would decide."""
-    unseen: int = 0
-    """Effects of a usual size that it would show and these runs could not have shown."""
-    prediction: Prediction | None = None
-    """What the leading rivals say of it."""
+    choose: Callable[[], Choice] = Choice
+    """Works out the next test, for which a verdict that asks for none does without."""
     equivalences: list[str] = field(default_factory=list)
     """What is known to be the same as the causes named, in sentences."""
     amiss: list[str] = field(default_factory=list)
@@ -327,6 +337,11 @@ class DiagnosisResult:
                     return None
                 total, spread = total + (error or 0.0) ** 2 * size, spread + size
         return math.sqrt(total / spread) if spread else None
+
+    @property
+    def choice(self) -> Choice:
+        """The best further test, also where the verdict asks for none or none would decide."""
+        return self.choose()
 
     @cached_property
     def evidence(self) -> list[Evidence]:

@@ -117,8 +117,8 @@ class _Page:
             self.figures["whiteness"] = figures.whiteness_figure(self.residuals)
             self.figures["crossing"] = figures.crossing_figure(self.residuals)
         asked = self.diagnosis.next_experiment
-        if result.prediction is not None and asked is not None and asked.test is not None:
-            self.figures["next"] = figures.prediction_figure(result.prediction)
+        if asked is not None and asked.test is not None and result.choice.prediction is not None:
+            self.figures["next"] = figures.prediction_figure(result.choice.prediction)
 
     @staticmethod
     def agreement(evidence: Evidence) -> str:

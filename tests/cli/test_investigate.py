@@ -10,7 +10,7 @@ import pytest
 
 from station.cli.investigate import Folder, first_test
 from station.device.port import open_port
-from station.diagnose.result import NextExperiment
+from station.diagnose.result import Choice, NextExperiment
 from station.diagnose.trials import Trial, trials
 from station.errors import UsageError
 from station.model.beam import REAL_ELEMENTS
@@ -36,7 +36,8 @@ def diagnosed(monkeypatch):
         found = made.result("explained", rig)
         for cause in found.diagnosis.causes:
             cause.probability = 0.99
-        object.__setattr__(found, "plan", NextExperiment(test=PULSE, why="the rivals differ here"))
+        plan = NextExperiment(test=PULSE, why="the rivals differ here")
+        object.__setattr__(found, "choose", lambda: Choice(plan=plan))
         return found
     monkeypatch.setattr("station.diagnose.diagnose.diagnose", diagnose)
     return asked

@@ -10,7 +10,8 @@ import pytest
 from station.control.compensators import Compensator
 from station.control.named import NAMED
 from station.control.references import reference_from_test
-from station.diagnose.experiment import _telling, first_test
+from station.diagnose import diagnose as module
+from station.diagnose.experiment import _telling, choose, first_test
 from station.diagnose.forecasts import Belief, absorbed
 from station.diagnose.planner import Planner, Worth
 from station.diagnose.result import Prediction
@@ -23,6 +24,8 @@ from station.model.effects import effect_class
 from station.model.simulate import build, simulate_model
 from station.rig import Limits, Rig, load_rig
 from station.runs.run import Run, RunMetadata
+from tests.estimation.made import AXIS as RIGID
+from tests.estimation.made import runs_of
 
 SFLR = load_rig("sflr")
 AXIS = Rig.from_toml("""
@@ -292,3 +295,12 @@ def test_a_rig_of_which_constants_are_exact_has_a_first_test() -> None:
     exact = AXIS.model_copy(update={"uncertainty": {**AXIS.uncertainty, "motor": 0.5, "motor.inertia": 0.0,
                                                     "motor.damping": 0.0}})
     assert first_test(exact).next.test is not None
+
+
+def test_where_a_verdict_asks_for_no_test_none_is_worked_out_until_somebody_asks(monkeypatch):
+    asked = []
+    monkeypatch.setattr(module, "choose", lambda *what: asked.append(what[-1]) or choose(*what))
+    dry = effect("coulomb_friction", "motor", torque=0.02 * RIGID.motor.gain * RIGID.amplifier.limit)
+    found = module.diagnose(RIGID, runs_of(RIGID.with_effects([dry])), effort="quick")
+    assert (found.diagnosis.verdict, found.diagnosis.next_experiment, asked) == ("explained", None, [])
+    assert found.choice.plan.test is not None and found.choice is found.choice and asked == ["explained"]

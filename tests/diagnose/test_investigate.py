@@ -7,7 +7,7 @@ import pytest
 
 from station.control.named import NAMED
 from station.diagnose.investigate import investigate
-from station.diagnose.result import Cause, Diagnosis, DiagnosisResult, Gain, NextExperiment
+from station.diagnose.result import Cause, Choice, Diagnosis, DiagnosisResult, Gain, NextExperiment
 from station.diagnose.thresholds import FEW, PATIENCE
 from station.errors import UsageError, WorkError
 from station.rig import load_rig
@@ -25,8 +25,8 @@ def said(verdict: str, *causes: tuple[str, str], probability: float = 0.99, stuc
     asked = NextExperiment(test=None, why="they are the same") if stuck else None
     found = Diagnosis(verdict=verdict, gain=Gain(held_out=[]), next_experiment=asked, causes=[
         Cause(effect=effect, at=at, probability=probability, parameters={}) for effect, at in causes])
-    return DiagnosisResult(found, SFLR, SFLR, SFLR, [], plan=NextExperiment(test=PULSE, why="because"),
-                           unseen=unseen)
+    plan = NextExperiment(test=PULSE, why="because")
+    return DiagnosisResult(found, SFLR, SFLR, SFLR, [], choose=lambda: Choice(plan, None, plan, unseen))
 
 
 def played(*diagnoses: DiagnosisResult, budget: int = 8):

@@ -19,7 +19,7 @@ from plotly.offline import get_plotlyjs_version
 from rich.console import Console
 
 from station.diagnose.odds import SEED
-from station.diagnose.result import BetweenRuns, Diagnosis, Estimate, Gain, OwnOfRun, Wrong
+from station.diagnose.result import BetweenRuns, Choice, Diagnosis, Estimate, Gain, OwnOfRun, Wrong
 from station.errors import WorkError
 from station.pictures.picture import Evidence
 from station.view import wording
@@ -242,7 +242,7 @@ def test_a_folder_that_is_not_there_is_one_line(tmp_path: Path) -> None:
 
 
 def test_the_next_experiment_is_a_line_to_type_with_what_it_should_show() -> None:
-    full = replace(made.result("ambiguous"), prediction=made.prediction())
+    full = replace(made.result("ambiguous"), choose=lambda: Choice(prediction=made.prediction()))
     html = report_html(full)
     assert 'id="figure-next"' in html and '"next":{' in html
     assert "station run pulse --port PORT --rig RIG --amplitude 25 --duration 2" in Page(html).text
