@@ -81,7 +81,7 @@ def test_it_is_drawn_without_a_request_or_an_error_and_fits_a_phone(runs, tmp_pa
         watched = Watched(browser, viewport={"width": 390, "height": 844})
         page = watched.open(path)
         page.click("a[href='#run-3']")
-        page.wait_for_function("document.getElementById('figure-run-2').dataset.drawn === 'yes'")
+        page.wait_for_selector("#figure-run-2[data-drawn='yes']")     # to ask again a function wants eval
         names = page.eval_on_selector_all("#figure-run-2 .legendtext", "texts => texts.map(t => t.textContent)")
         assert names == ["measured", HOSTILE, "better.toml"]
         assert page.query_selector("main img") is None
