@@ -30,7 +30,7 @@ from station.diagnose.result import (
 )
 from station.diagnose.selection import EFFORTS, Selection, select
 from station.diagnose.thresholds import FEW
-from station.diagnose.unseen import unseen
+from station.diagnose.unseen import sized, unseen
 from station.diagnose.validation import gain, seconds_ahead
 from station.diagnose.verdict import verdict
 from station.diagnose.wrong import wrong
@@ -90,9 +90,10 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
         raise WorkError(f"{rig.name}: {CANNOT_SIMULATE}") from None
     report("drawing the data again", 0.88)
     finding = find(search)
-    said, best, nothing = finding.said, finding.fit, search.fits[frozenset()]
     report("judging on runs left out", 0.92)
-    judged = unseen(search, finding)
+    finding, without_each = sized(search, finding)
+    judged = unseen(search, finding, without_each)
+    said, best, nothing = finding.said, finding.fit, search.fits[frozenset()]
     known = standing(data, said.causes, best.space.rig_at(best.x))
     told = completed(finding.odds, said.causes, known)
     decision = verdict(said, told, search.screened, finding.left.is_noise, judged.against, known)
@@ -117,7 +118,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     report("choosing the next experiment", 0.96)
     choice = cache(partial(_chosen, search, finding.odds, decision))
     decided = decision in ("explained", "nothing_missing") and len(given) >= FEW
-    ranked = ranking(search, told, judged)
+    ranked = ranking(search, told, finding, judged)
     diagnosis = Diagnosis(
         verdict=decision, wrong=wrong(comparisons, data.noise), causes=causes,
         gain=gain(data, comparisons, judged.simulations[2], judged.ahead),

@@ -34,6 +34,8 @@ class Finding:
     fit: Fit
     """The same to the end: values are stated from it."""
     left: Remainder
+    may_be_none: Causes = frozenset()
+    """In the best set, stable, and not said: their own intervals hold that they are not there."""
 
     @property
     def outside(self) -> float:
@@ -50,6 +52,13 @@ def find(search: Selection) -> Finding:
     if first.said.one_of and not first.left.is_noise:
         return _fitted(search, found, spoken, stated(spoken, partial(collinear, search, best)), best)
     return first
+
+
+def without(search: Selection, finding: Finding, cause: Key) -> Finding:
+    """What a search says where one of the causes may be none."""
+    said = Stated(finding.said.causes - {cause}, finding.said.one_of - {cause})
+    less = _fitted(search, finding.odds, finding.by_law, said, finding.by_law.sets[0][0])
+    return replace(less, may_be_none=finding.may_be_none | {cause})
 
 
 def _fitted(search: Selection, found: Odds, spoken: Odds, said: Stated, whole: Causes) -> Finding:

@@ -25,6 +25,7 @@ from station.estimation.cause import Causes, Key, constant, constant_path, is_co
 from station.estimation.fitted import Fit
 from station.estimation.identifiability import NORMAL, parameter_states
 from station.estimation.noise import QUANTISATION
+from station.estimation.parameters import Coordinate
 from station.estimation.spread import Spread, between_runs
 from station.model.effects import effect_class
 from station.model.units import UNITS
@@ -248,6 +249,26 @@ def possible(found: Fit, key: Key) -> bool:
     return all(coordinate.to_value(found.x[k] + NORMAL * math.sqrt(found.covariance[k, k])) < largest[coordinate.name]
                for k, coordinate in enumerate(space.coordinates, space.parts["effects"].start)
                if coordinate.cause == key and coordinate.name in largest)
+
+
+def may_be_none(found: Fit, key: Key, values: dict[str, Estimate]) -> bool:
+    """Whether a cause's own 95 % intervals (``estimates``) hold that it is not there: a constant's the value of the rig
+    file, those of all sizes of an effect the neutral one.
+
+    Of a size x that is fitted by its logarithm it is the interval of x itself, x (1 +- 1.96 sigma), to first order
+    (Wald's test: Trans. Am. Math. Soc. 54, 1943): one of its logarithm never reaches neutral.
+    """
+    if is_constant(key[0]):
+        return values["value"].low <= found.space.rig.constants()[constant_path(key[0])] <= values["value"].high
+
+    def holds_none(coordinate: Coordinate) -> bool:
+        size = values[coordinate.name]
+        if coordinate.log:
+            return not size.low > 0.0 or math.log(size.high / size.low) >= 2.0
+        return size.low <= coordinate.info.neutral <= size.high
+
+    return all(holds_none(coordinate) for coordinate in found.space.coordinates
+               if coordinate.cause == key and coordinate.info.neutral is not None)
 
 
 def estimates(found: Fit, rougher: Fit, left_out: Sequence[Fit],

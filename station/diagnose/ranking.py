@@ -15,12 +15,12 @@ from station.estimation.cause import Causes, Key, is_constant
 from station.rig import Rig
 
 
-def ranking(search: Selection, found: Odds, unseen: Unseen) -> list[RankedCause]:
+def ranking(search: Selection, found: Odds, finding: Finding, unseen: Unseen) -> list[RankedCause]:
     """Every cause that was fitted, by probability, then by how much it bought alone."""
     alone = [key for keys in sorted(search.fits, key=sorted) if len(keys) == 1 for key in keys]
     rows = [_row(search, found, unseen, key) for key in dict.fromkeys([*alone, *sorted(found.causes)])]
     rows.sort(key=lambda row: (-round(row.probability, 6), -row.delta_chi2))
-    return [replace(row, reason=_reason(search, found, unseen, row, rows[0])) for row in rows]
+    return [replace(row, reason=_reason(search, found, finding, unseen, row, rows[0])) for row in rows]
 
 
 def _row(search: Selection, found: Odds, unseen: Unseen, key: Key) -> RankedCause:
@@ -33,7 +33,8 @@ def _row(search: Selection, found: Odds, unseen: Unseen, key: Key) -> RankedCaus
                        found.stability.get(key, 0.0))
 
 
-def _reason(search: Selection, found: Odds, unseen: Unseen, row: RankedCause, first: RankedCause) -> Reason:
+def _reason(search: Selection, found: Odds, finding: Finding, unseen: Unseen, row: RankedCause, first: RankedCause,
+            ) -> Reason:
     """Why a candidate stands where it does; ``first``: the one that leads."""
     key, named = (row.effect, row.at), unseen.left_out[0].key
     keys, tried = _smallest(search, key), row.note
@@ -42,7 +43,7 @@ def _reason(search: Selection, found: Odds, unseen: Unseen, row: RankedCause, fi
     adds, price, less = _bought(search, keys, keys - {key}), -2.0 * log_prior(key), first.delta_chi2 - row.delta_chi2
     if key in named:
         return Reason("named", adds=adds if len(named) > 1 else None)
-    lost = _lost(search, found, unseen, key)
+    lost = _lost(search, found, finding, unseen, key)
     if not lost and row is first:
         return Reason("leads")
     if not lost and row.probability > LIKELY:
@@ -57,7 +58,7 @@ def _reason(search: Selection, found: Odds, unseen: Unseen, row: RankedCause, fi
     return little or Reason("as_good" if row.probability > AS_GOOD else "no_better")
 
 
-def _lost(search: Selection, found: Odds, unseen: Unseen, key: Key) -> Reason | None:
+def _lost(search: Selection, found: Odds, finding: Finding, unseen: Unseen, key: Key) -> Reason | None:
     """Why a cause is not named though it may add enough; None where nothing says."""
     named, holders = unseen.left_out[0].key, [fit for keys, fit in search.fits.items() if key in keys]
     if not holders:
@@ -65,6 +66,8 @@ def _lost(search: Selection, found: Odds, unseen: Unseen, key: Key) -> Reason | 
     best = max(holders, key=search.score)
     if key in max(unseen.densities, key=len):
         return Reason("left_out")
+    if key in finding.may_be_none:
+        return Reason("may_be_none")
     if not may_be_accused(search, best, key):
         return Reason("within" if is_constant(key[0]) else "too_large")
     behind = 2.0 * (search.score(search.fits[named]) - search.score(best))
@@ -100,7 +103,10 @@ def notes(rig: Rig, search: Selection, finding: Finding, unseen: Unseen) -> list
         gains = unseen.gains + unseen.relieved / len(unseen.gains)
         found.append(f"log density of runs left out, constants' included, by the causes: {gains.sum():+.1f}, standard "
                      f"error {standard_error(gains):.1f}")
-    unstable = sorted(spoken.sets[0][0] - said.causes)
+    if finding.may_be_none:
+        found.append("in the best set but not stated, for their own 95 % intervals hold that they are not there: "
+                     + ", ".join(f"{n}{f' at {at}' if at else ''}" for n, at in sorted(finding.may_be_none)))
+    unstable = sorted(spoken.sets[0][0] - said.causes - finding.may_be_none)
     if unstable:
         found.append("in the best set but not stated, for too few resamples name them: "
                      + ", ".join(f"{n}{f' at {at}' if at else ''} ({spoken.stability.get((n, at), 0.0):.2f})"

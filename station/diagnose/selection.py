@@ -442,12 +442,12 @@ def _look_back(search: Selection, found: Fit) -> None:
     search.looked_back = found.light
     hypothesis, sizes = found.space.hypothesis, found.space.values(found.x)
     less: list[tuple[Hypothesis, Sizes]] = [(hypothesis.without(cause), {}) for cause in hypothesis.causes]
+    allowed = {candidate.key for candidate in candidates(search.predictor.data.rig)} - found.key
     for cls, at in hypothesis.effects:
-        for name, its in cls.simpler.items():
-            if (name, at) not in found.key:
-                size = {own: sizes[cls.name, at][of] for own, of in its.items()}
-                instead = hypothesis.without((cls.name, at)) + Hypothesis(((effect_class(name), at),))
-                less.append((instead, {(name, at): size}))
+        for (name, place), size in cls.cases(found.space.rig, at, sizes[cls.name, at]).items():
+            if (name, place) in allowed:
+                instead = hypothesis.without((cls.name, at)) + Hypothesis(((effect_class(name), place),))
+                less.append((instead, {(name, place): size}))
     _keep_reduced(search, found, less)
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from station.diagnose.finding import Finding
+from station.diagnose.finding import Finding, bought, without
+from station.diagnose.odds import estimates, may_be_none
 from station.diagnose.selection import Selection
 from station.diagnose.validation import (
     contradicted,
@@ -46,15 +48,31 @@ class Unseen:
     """Whether runs left out speak against the causes."""
 
 
-def unseen(search: Selection, finding: Finding) -> Unseen:
-    """Fit the causes that are said and the rig alone again without each run in turn, and judge them by that run."""
+def sized(search: Selection, finding: Finding) -> tuple[Finding, list[Fit]]:
+    """What is said without causes that may be none by their own intervals, and its fits without each run in turn.
+
+    One goes at a time, the one that adds least: of two that can stand in for each other either may be none.
+    """
+    while True:
+        found = finding.fit
+        left_out = leave_each_out(search.predictor, found.weighing, found, far=not finding.left.is_noise)
+        values, _ = estimates(found, finding.rough, left_out)
+        none = [key for key in sorted(found.key) if may_be_none(found, key, values[key])]
+        if not none:
+            return finding, left_out
+        finding = without(search, finding, min(none, key=partial(bought, search, finding.rough.key)))
+
+
+def unseen(search: Selection, finding: Finding, said: list[Fit]) -> Unseen:
+    """Judge the causes that are said and the rig alone by each run with the fits that left it out; ``said``: those of
+    the causes."""
     predictor, nothing, causes = search.predictor, search.fits[frozenset()], finding.said.causes
     unfitted = [nominal(predictor.data, nothing)] * len(predictor.data.runs)
-    far = not finding.left.is_noise
-    left_out = {causes: leave_each_out(predictor, finding.fit.weighing, finding.fit, far=far)}
+    left_out = {causes: said}
     if causes:
-        left_out[frozenset()] = leave_each_out(predictor, search.own_weighing(nothing), nothing, far=far)
-    alone, said = left_out[frozenset()], left_out[causes]
+        left_out[frozenset()] = leave_each_out(predictor, search.own_weighing(nothing), nothing,
+                                               far=not finding.left.is_noise)
+    alone = left_out[frozenset()]
     refit = simulate_unseen(predictor, alone)
     densities = {keys: log_densities(predictor, search.compared, fits) for keys, fits in left_out.items()}
     gains = densities[causes] - densities[frozenset()]

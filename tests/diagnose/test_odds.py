@@ -17,14 +17,17 @@ from station.diagnose.odds import (
     by_law,
     estimates,
     in_order,
+    may_be_none,
     normalised,
     odds,
     possible,
     resamples,
     with_outside,
 )
+from station.diagnose.result import Estimate
 from station.diagnose.thresholds import BEYOND, OUTSIDE
 from station.estimation.dataset import dataset
+from station.estimation.identifiability import NORMAL
 from station.estimation.least_squares import fit
 from station.estimation.likelihood import Weighing
 from station.estimation.observer import observers
@@ -69,6 +72,41 @@ def test_an_effect_that_may_have_to_be_larger_than_it_can_be_is_not_accused(shar
     x = space.carried(space, space.mean, {key: {"amplitude": share * largest, "phase": 0.0}})
     found = SimpleNamespace(space=space, x=x, covariance=sigma**2 * np.eye(space.size))
     assert possible(found, key) is accused
+
+
+def told(effect: tuple[str, str], sizes: dict[str, float], sigma: dict[str, float]) -> bool:
+    """Whether an effect may be none that was fitted with these sizes, each so sure in the fit's coordinate."""
+    cls, data = effect_class(effect[0]), dataset(AXIS, runs_of(AXIS))
+    space = parameters(data, Hypothesis(((cls, effect[1]),)), {effect: cls.guesses(AXIS, effect[1])[0]})
+    x = space.carried(space, space.mean, {effect: sizes})
+    values = {}
+    for k, one in enumerate(space.coordinates, space.parts["effects"].start):
+        low, high = (one.to_value(x[k] + way * NORMAL * sigma[one.name]) for way in (-1.0, 1.0))
+        values[one.name] = Estimate(value=one.to_value(x[k]), low=low, high=high, unit=one.info.unit)
+    return may_be_none(SimpleNamespace(space=space), effect, values)
+
+
+@pytest.mark.parametrize(("effect", "sizes", "sigma", "none"), [
+    (FRICTION, {"torque": 0.03}, {"torque": 0.5}, False), (FRICTION, {"torque": 0.03}, {"torque": 0.52}, True),
+    (("actuator_saturation", "amplifier"), {"limit": 90.0}, {"limit": 0.6}, True),
+    (("gain_asymmetry", "amplifier"), {"ratio": 0.9}, {"ratio": 0.1}, False),
+    (("gain_asymmetry", "amplifier"), {"ratio": 0.9}, {"ratio": 1e3}, True),
+    (("gravity_tilt", "base"), {"torque": 0.1, "angle": 1.0}, {"torque": 0.1, "angle": 3.0}, False),
+    (("stribeck_friction", "motor"), {"static_torque": 0.04, "coulomb_torque": 0.03, "stribeck_velocity": 1.0},
+     {"static_torque": 0.1, "coulomb_torque": 2.0, "stribeck_velocity": 2.0}, False)])
+def test_a_size_that_its_interval_does_not_tell_from_none_may_be_none(
+        effect: tuple[str, str], sizes: dict[str, float], sigma: dict[str, float], none: bool) -> None:
+    """A logarithm's never reaches none, and beyond a factor of e to either side is no knowledge of a size; where and
+    how fast a law acts is no size; a law of several sizes is there if one of them is."""
+    assert told(effect, sizes, sigma) is none
+
+
+@pytest.mark.parametrize(("low", "none"), [(0.9, True), (1.01, False)])
+def test_a_constant_whose_interval_holds_the_rig_files_value_may_be_none(low: float, none: bool) -> None:
+    nominal = AXIS.motor.inertia
+    value = Estimate(value=1.2 * nominal, low=low * nominal, high=1.4 * nominal, unit="kg m^2")
+    found = SimpleNamespace(space=SimpleNamespace(rig=AXIS, coordinates=()))
+    assert may_be_none(found, ("parameter:motor.inertia", ""), {"value": value}) is none
 
 
 def test_a_cause_has_the_probability_of_all_sets_that_hold_it() -> None:

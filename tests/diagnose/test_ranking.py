@@ -37,15 +37,21 @@ def fitted(evidences: list[tuple[float, tuple]]) -> Selection:
     return search
 
 
-def ranked(named: tuple, against: bool = False) -> dict[str, RankedCause]:
-    """The rows by their effect, where ``named`` are said; ``against``: and runs left out speak against them."""
+def finding(*none: tuple) -> SimpleNamespace:
+    """What is known of causes that may be ``none`` by their own intervals."""
+    return SimpleNamespace(may_be_none=frozenset(map(key, none)))
+
+
+def ranked(named: tuple, against: bool = False, none: tuple = ()) -> dict[str, RankedCause]:
+    """The rows by their effect, where ``named`` are said; ``against``: and runs left out speak against them; ``none``:
+    those that may be none."""
     search, keys = fitted(EVIDENCES), frozenset(map(key, named))
     likely = {PLAY: 0.99, RUBS: 0.99, LATE: 0.5, INPUT: 0.4, LAG: 0.1, DRAG: 0.05}
     said = Odds([(frozenset(map(key, (PLAY, RUBS, LATE))), 0.6)], {key(c): p for c, p in likely.items()}, 0.0,
                 {key(PLAY): 1.0, key(RUBS): 1.0, key(LATE): 0.55})
     unseen = SimpleNamespace(densities={keys: 0.0, frozenset(): 0.0},
                              left_out=[SimpleNamespace(key=frozenset() if against else keys)])
-    return {row.effect: row for row in ranking(search, said, unseen)}
+    return {row.effect: row for row in ranking(search, said, finding(*none), unseen)}
 
 
 def told(rows: dict[str, RankedCause], cause: tuple) -> str:
@@ -79,6 +85,8 @@ def test_what_few_resamples_name_or_runs_left_out_contradict_says_so() -> None:
     assert told(ranked(named), LATE) == \
         "beside the causes named: adds 40.0 to 2 Δln L; named in 55 % of the resamples, too few"
     assert told(ranked(named, against=True), RUBS) == "does not help on unseen runs"
+    assert told(ranked(named, none=(LATE,)), LATE) == \
+        "beside the causes named: adds 40.0 to 2 Δln L; its own 95 % interval holds that it is not there"
 
 
 def standing(evidences: list[tuple[float, tuple]], likely: dict[tuple[str, str], float], named: tuple = (),
@@ -87,7 +95,8 @@ def standing(evidences: list[tuple[float, tuple]], likely: dict[tuple[str, str],
     keys = frozenset(map(key, named))
     unseen = SimpleNamespace(densities={keys: np.zeros(1), frozenset(): np.zeros(1)},
                              left_out=[SimpleNamespace(key=keys)])
-    return [why(row.reason) for row in ranking(fitted(evidences), Odds([(keys, 0.6)], likely, 0.0, {}), unseen)]
+    said = Odds([(keys, 0.6)], likely, 0.0, {})
+    return [why(row.reason) for row in ranking(fitted(evidences), said, finding(), unseen)]
 
 
 def test_where_none_is_named_candidates_stand_by_what_they_buy() -> None:

@@ -19,6 +19,7 @@ from station.estimation.likelihood import Weighing
 from station.estimation.parameters import Hypothesis, clock_sigma, parameters
 from station.estimation.prediction import Predictor
 from station.model.effects import effect_class
+from station.rig import load_rig
 from station.runs.ticks import CLOCKS
 from tests.estimation.made import AXIS, predictions, runs_of
 
@@ -168,6 +169,37 @@ def test_a_law_must_hold_against_one_that_it_holds_fitted_from_where_it_ended() 
     _look_back(search, search.best())
     assert search.best().key == {coulomb}
     assert search.best().space.values(search.best().x)[coulomb]["torque"] == pytest.approx(torque, rel=0.02)
+
+
+@pytest.mark.parametrize(("law", "sizes", "truth", "sized"), [
+    (("torque_ripple", "motor"), {"amplitude": 0.3, "cycles": 1.02, "phase": 3.0}, ("gravity_tilt", "base"),
+     {"torque": 0.3, "angle": 0.0}),
+    (("sublinear_drag", "motor"), {"coefficient": 3.0, "speed": 0.02}, ("coulomb_friction", "motor"),
+     {"torque": 0.06})])
+def test_a_law_must_hold_against_what_it_nearly_is_where_it_ended(
+        law: tuple[str, str], sizes: dict[str, float], truth: tuple[str, str], sized: dict[str, float]) -> None:
+    """A ripple of one cycle against a pendulum's weight, drag that levels off at once against Coulomb friction."""
+    cls, at = effect_class(truth[0]), truth[1]
+    predictor = predictions(AXIS, runs_of(AXIS.with_effects([cls(at=at, **sized)])))
+    search, ended = complete(predictor), (effect_class(law[0]), law[1])
+    for effects, begun in (((), {}), ((ended,), {law: sizes})):
+        space = parameters(predictor.data, Hypothesis(effects), begun)
+        search.keep(fit(search.predictor, space, search.weighing, space.mean.copy()))
+    assert search.best().key == {law}
+    _look_back(search, search.best())
+    assert search.best().key == {truth}
+    found = search.best().space.values(search.best().x)[truth]
+    assert found == pytest.approx(sized, rel=0.02, abs=0.002)
+
+
+def test_a_ripple_is_nearly_a_tilt_only_of_one_cycle_and_without_a_drive() -> None:
+    ripple, sizes = effect_class("torque_ripple"), {"amplitude": 0.3, "cycles": 1.3, "phase": 1.0}
+    x = np.linspace(-4.0, 4.0, 9)
+    [(key, tilt)] = ripple.cases(AXIS, "motor", sizes).items()
+    theirs = [effect_class(key[0]).law(one, 0.0, 0.0, list(tilt.values()), [], 1e-3) for one in x]
+    np.testing.assert_allclose(theirs, 0.3 * np.sin(x + 1.0), atol=1e-12)
+    assert not ripple.cases(AXIS, "motor", {**sizes, "cycles": 1.6})
+    assert not ripple.cases(load_rig("sflr"), "motor", sizes)
 
 
 def test_a_best_set_that_ended_elsewhere_is_looked_back_upon_before_it_is_told() -> None:

@@ -7,8 +7,12 @@ import pytest
 from station.diagnose import unseen
 from station.diagnose.diagnose import diagnose
 from station.diagnose.measures import nrmse
+from station.diagnose.result import Estimate
+from station.estimation.fitted import Fit
+from station.model.effects import effect_class
 from station.rig import Rig
 from tests.diagnose.blind import RIGS, blind_task, made
+from tests.estimation.made import AXIS, run_of
 
 
 @pytest.mark.parametrize("against", [False, pytest.param(True, marks=pytest.mark.long)])
@@ -28,3 +32,26 @@ def test_the_gain_is_that_of_the_rig_that_is_handed_back(monkeypatch: pytest.Mon
         assert set(told.ahead) and all(one.nrmse_after > 0.0 for one in told.ahead.values())
     handed = found.extended_rig.constants()
     assert {path: estimate.value for path, estimate in found.constants.items()} == pytest.approx(handed)
+
+
+def test_what_may_be_none_by_its_own_interval_is_not_stated_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One at a time, the one that adds least first: what is left is fitted and judged without it."""
+    asked = []
+
+    def may_be_none(found: Fit, key: tuple[str, str], values: dict[str, Estimate]) -> bool:
+        asked.append((found.key, set(values)))
+        return key[0] == "input_delay"
+
+    monkeypatch.setattr(unseen, "may_be_none", may_be_none)
+    rig = AXIS.with_effects([effect_class("coulomb_friction")(at="motor", torque=0.06),
+                             effect_class("input_delay")(at="amplifier", time=0.2 * AXIS.period)])
+    runs = [run_of(rig, size, loop, f"{size:g} {loop}") for size, loop in ((90.0, "p2"), (-60.0, "p1"), (60.0, "open"))]
+    result = diagnose(AXIS, runs, effort="quick")
+    friction, delay = ("coulomb_friction", "motor"), ("input_delay", "amplifier")
+    assert asked == [(frozenset({friction, delay}), {"torque"}), (frozenset({friction, delay}), {"time"}),
+                     (frozenset({friction}), {"torque"})]
+    assert [(cause.effect, cause.at) for cause in result.diagnosis.causes] == [friction]
+    assert {(effect.name, effect.at) for effect in result.extended_rig.effects} == {friction}
+    [row] = [row for row in result.ranking if row.effect == "input_delay"]
+    assert row.reason.kind == "may_be_none"
+    assert any("intervals hold that they are not there: input_delay at amplifier" in note for note in result.notes)

@@ -217,6 +217,12 @@ class Effect(BaseModel):
                 if info.neutral is not None and math.isfinite(info.neutral)}
 
     @classmethod
+    def cases(cls, rig: Rig, at: str, values: dict[str, float]) -> dict[tuple[str, str], dict[str, float]]:
+        """Simpler laws, by (effect, place), against which this one must hold where it has these values, and the sizes
+        with which they come nearest to it; by default what it holds as special cases, at the same place."""
+        return {(name, at): {own: values[of] for own, of in its.items()} for name, its in cls.simpler.items()}
+
+    @classmethod
     def largest(cls, rig: Rig, at: str) -> dict[str, float]:
         """Sizes beyond which the law would be another thing than its name says, by parameter; {} where none is.
 

@@ -25,6 +25,11 @@ class SublinearDrag(Effect):
     speed: float = parameter("rad/s", 1e-3, 1e3)
 
     @classmethod
+    def cases(cls, rig, at, values):
+        """Where it levels off at once it is Coulomb friction, but for rest."""
+        return {("coulomb_friction", at): {"torque": values["coefficient"] * values["speed"]}}
+
+    @classmethod
     def guesses(cls, rig, at):
         scale = rig.motor.damping or abs(rig.motor.gain)
         return [{"coefficient": share * scale, "speed": speed} for share in (0.1, 0.5) for speed in (0.5, 3.0)]

@@ -35,6 +35,14 @@ class TorqueRipple(Effect):
     phase: float = parameter("rad", -math.pi, math.pi, periodic=True)
 
     @classmethod
+    def cases(cls, rig, at, values):
+        """Without a drive one cycle per turn is a tilt: a sin(x + phi) = -a sin(x - (pi - phi))."""
+        if rig.drive is not None or round(values["cycles"]) != 1:
+            return {}
+        angle = math.remainder(math.pi - values["phase"], math.tau)
+        return {("gravity_tilt", "base"): {"torque": values["amplitude"], "angle": angle}}
+
+    @classmethod
     def guesses(cls, rig, at):
         return [{"amplitude": 0.05 * torque_scale(rig), "cycles": cycles, "phase": phase}
                 for cycles in CYCLES if cycles <= SHOWN * rig.encoder.counts_per_revolution

@@ -47,6 +47,7 @@ def _decides(reason: Reason) -> str:
             "left_out": "does not help on unseen runs",
             "within": "a value within the rig's stated uncertainty does as well",
             "too_large": "it may have to be larger than such a thing can be",
+            "may_be_none": "its own 95 % interval holds that it is not there",
             "resamples": f"named in {resamples(reason.value)}, too few" if reason.value else "no resample names it",
             "beaten": f"{others} in its place {do} better",
             "matched": f"{others} in its place {do} as well",
