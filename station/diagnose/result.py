@@ -251,8 +251,8 @@ class Reason:
                   "resamples", "beaten", "matched", "explains_less", "as_good", "no_better", "open"]
     """It is named; it leads the ranking, or is likely, and is not named; adds less than it must; runs left out speak
     against it; it is a constant within its stated uncertainty, or an effect that may have to be larger than it can be;
-    its own interval holds that it is not there; too few resamples name it; others in its place do better, or as well; it
-    explains less than the first, is as good, or no better; nothing says."""
+    its own interval holds that it is not there; too few resamples name it; others in its place do better, or as well;
+    it explains less than the first, is as good, or no better; nothing says."""
     value: float = 0.0
     """What it must add, the share of resamples that name it, or by how much less of 2 ln L it explains."""
     instead: tuple[tuple[str, str], ...] = ()

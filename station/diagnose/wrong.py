@@ -12,9 +12,10 @@ from station.diagnose.thresholds import SHOWN_COUNTS, SHOWN_SETTLING, SHOWN_SHAR
 
 
 def wrong(comparisons: Sequence[RunComparison], noise: Sequence[float]) -> list[Wrong]:
-    """What the nominal rig gets wrong, the largest first; beside an nrmse stands the floor that noise alone sets.
+    """What the nominal rig gets wrong: step measures and peaks, then errors of whole runs, of each the largest first.
 
-    Peaks are counted from the first reading of the run.  What is predicted a time ahead is no loop's answer to a test.
+    Beside an nrmse stands the floor that noise alone sets.  Peaks are counted from the first reading of the run.  What
+    is predicted a time ahead is no loop's answer to a test.
     """
     found: list[tuple[float, str, Channel, str, float | None, float | None, str | None]] = []
     for c in comparisons:
@@ -42,4 +43,4 @@ def wrong(comparisons: Sequence[RunComparison], noise: Sequence[float]) -> list[
                 found.append((misfit, run.name, channel, "nrmse", misfit, floor(read[rows], sigma),
                               f"largest at t = {run.t[worst]:.3f} s"))
     return [Wrong(run=run, channel=channel, measure=measure, simulated=s, measured=m, where=where)
-            for _, run, channel, measure, s, m, where in sorted(found, key=lambda row: -row[0])]
+            for _, run, channel, measure, s, m, where in sorted(found, key=lambda row: (row[3] == "nrmse", -row[0]))]

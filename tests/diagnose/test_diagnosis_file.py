@@ -200,6 +200,10 @@ def test_what_is_wrong_is_measured_as_the_contract_says(diagnoses):
             assert row.simulated == pytest.approx(nrmse(getattr(run, row.channel), getattr(before, row.channel)))
         checked.add(row.measure)
     assert {"overshoot_percent", "nrmse"} <= checked
+    of_runs = [row.measure == "nrmse" for row in result.diagnosis.wrong]
+    assert of_runs == sorted(of_runs), "what a step shows stands first, in per cent, errors of runs are shares"
+    errors = [row.simulated for row in result.diagnosis.wrong if row.measure == "nrmse"]
+    assert errors == sorted(errors, reverse=True)
 
 
 def test_a_constant_that_is_off_is_no_effect(diagnoses):
