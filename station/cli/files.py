@@ -18,6 +18,7 @@ from station.cli.options import (
     need_outputs,
     rig_of,
     tell_lacks,
+    tell_refused,
 )
 from station.cli.terminal import as_json, console, number, one_line, row, say, table
 from station.cli.terminal import note as note_
@@ -48,6 +49,7 @@ def import_(
     described = load_rig(rig).model_dump(exclude_none=True) if rig else None
     done = import_run(run, out, overwrite=overwrite, rig=described, zero_id=zero_id)
     tell_lacks(run, done)
+    tell_refused(run, done)
     _tell(json, out, done, run)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -68,6 +69,19 @@ def tell_lacks(path: Path, run: Run) -> None:
 
         note(f"{path}: {run.lost_samples} samples are missing; simulations run on through the gaps, and after one of "
              f"more than {HELD} fits find the state again, in rows that do not count")
+
+
+def tell_refused(path: Path, run: Run) -> None:
+    """Say on standard error where a log's controller is none that can be worked out again; the log keeps it."""
+    from station.control.compensators import Compensator
+
+    if run.loop_unknown:
+        return
+    try:
+        Compensator.from_spec(run.metadata.controller, run.sample_rate, math.inf)
+    except UsageError as error:
+        note(f"{path}: metadata {error}; kept as it stands, but what works the loop out again will refuse it: mend it, "
+             "or leave it out where the log's controller is none of the kinds")
 
 
 NAME_IT = 'name the controller, in a CSV as # controller = {"kind": "p", "gain": 2.0} (kinds: docs/other_rig.md)'

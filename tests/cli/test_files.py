@@ -29,6 +29,18 @@ def test_import_adds_what_the_log_does_not_say(station, step, tmp_path):
     assert load_run(out).metadata.rig["name"] == "sflr-unit"
 
 
+@pytest.mark.parametrize(("line", "told"), [
+    ('{"kind": "pid", "Kp": 3, "Ki": 12}', "controller.Ki, controller.Kp: unknown key for kind 'pid'"),
+    ('{"kind": "PI", "gain": 3}', "controller.kind: 'PI' is none of"), ('{"kind": "p", "gain": 3}', ""), (None, "")])
+def test_an_import_keeps_a_controller_that_is_none_and_says_so(station, tmp_path, line, told):
+    source, out = tmp_path / "other.csv", tmp_path / "other.mcap"
+    rows = "\n".join(f"{k / 500},{k},0,0" for k in range(4))
+    source.write_text((f"# controller = {line}\n" if line else "") + f"t,reference,command,encoder\n{rows}\n")
+    ended = station("import", source, "--out", out)
+    assert ended.status == 0 and (told in ended.err if told else "controller" not in ended.err), ended.err
+    assert load_run(out).metadata.controller == (json.loads(line) if line else {"kind": "unknown"})
+
+
 def test_an_output_in_the_way_is_kept(station, step, tmp_path):
     out = tmp_path / "kept.csv"
     out.write_text("mine")
