@@ -27,7 +27,8 @@ def read_csv(path: str | os.PathLike[str]) -> Run:
     for number, line in table.comments:
         match = _ENTRY.match(line)
         if not match:
-            raise WorkError(f"{path}: line {number}: a header line reads '# key = JSON'")
+            raise WorkError(f"{path}: line {number}: a header line reads '# key = JSON', not {line.strip()[:40]!r}; "
+                            'keep a remark as # remark = "…", or take the line out')
         key, text = match.groups()
         if key in entries:
             raise WorkError(f"{path}: line {number}: the key {key} stands twice")

@@ -94,7 +94,7 @@ BAD_TEXT = {
     "a huge header": ("# note = \"" + "x" * (1 << 20) + '"\n' + HEAD, "line 1: note: .* bytes|header is longer"),
     "no json": ("# rig = sflr\n" + HEAD, "line 1: rig: not JSON"),
     "nan in json": ("# controller = {\"gain\": NaN}\n" + HEAD, "line 1: controller: not JSON"),
-    "no key": ("# by hand\n" + HEAD, "line 1: a header line reads"),
+    "no key": ("# by hand\n" + HEAD, "line 1: a header line reads .# key = JSON., not .by hand.; keep a remark as"),
     "key twice": ('# rig = "a"\n# rig = "b"\n' + HEAD, "line 2: the key rig stands twice"),
     "wrong type": ("# command_row = \"late\"\n" + HEAD, "metadata command_row"),
     "code": ("# rig = __import__('os').getcwd()\n" + HEAD, "line 1: rig: not JSON"),
