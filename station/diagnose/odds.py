@@ -253,7 +253,7 @@ def possible(found: Fit, key: Key) -> bool:
 
 def may_be_none(found: Fit, key: Key, values: dict[str, Estimate]) -> bool:
     """Whether a cause's own 95 % intervals (``estimates``) hold that it is not there: a constant's the value of the rig
-    file, those of all sizes of an effect the neutral one.
+    file, those of all sizes of an effect the neutral one, or one the infinite one (a drag that levels off nowhere).
 
     Of a size x that is fitted by its logarithm it is the interval of x itself, x (1 +- 1.96 sigma), to first order
     (Wald's test: Trans. Am. Math. Soc. 54, 1943): one of its logarithm never reaches neutral.
@@ -267,8 +267,9 @@ def may_be_none(found: Fit, key: Key, values: dict[str, Estimate]) -> bool:
             return not size.low > 0.0 or math.log(size.high / size.low) >= 2.0
         return size.low <= coordinate.info.neutral <= size.high
 
-    return all(holds_none(coordinate) for coordinate in found.space.coordinates
-               if coordinate.cause == key and coordinate.info.neutral is not None)
+    sizes = [one for one in found.space.coordinates if one.cause == key and one.info.neutral is not None]
+    finite = [one for one in sizes if math.isfinite(one.info.neutral)]
+    return any(holds_none(one) for one in sizes if one not in finite) or bool(finite) and all(map(holds_none, finite))
 
 
 def estimates(found: Fit, rougher: Fit, left_out: Sequence[Fit],

@@ -9,7 +9,7 @@ import numpy as np
 from station.diagnose.thresholds import NOISE
 from station.estimation.fitted import Fit
 from station.estimation.observer import noise_gain
-from station.estimation.prediction import Predictor
+from station.estimation.prediction import Predictor, in_motion
 
 SPAN = 25
 """Samples whose errors are summed: what a swing of some Hz leaves adds up, noise averages out."""
@@ -64,6 +64,7 @@ def remainder(predictor: Predictor, found: Fit) -> Remainder:
 
 def ahead_is_noise(predictor: Predictor, found: Fit) -> bool:
     """Whether what a fit misses of the encoder a few samples ahead is no more than the sensor's noise, fed back."""
-    expected = noise_gain(predictor.observers[0], predictor.model(found.space, found.x))
+    model = predictor.model(found.space, found.x)
+    expected = noise_gain(predictor.observers[0], model, in_motion(predictor.data, model))
     freedoms = np.array(predictor.data.noise_freedoms[0])
     return bool(np.all(_size(found.squares[:, 0] / expected, predictor.counts[:, 0], freedoms) < NOISE))

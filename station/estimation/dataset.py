@@ -33,6 +33,8 @@ WARM = 1.0
 """Seconds for that: what is wrong of a flexible arm's base and first mode is then below a hundredth."""
 FIRST = 0.02
 """Seconds that tell whether a run begins in motion: too few for a command to move much."""
+MOTION = 256
+"""Angles and speeds that tell how runs move: of the slope of a law that levels off, two thousandths beside all rows."""
 FIRST_COUNTS, FIRST_SIGMAS, FIRST_SHARE = 2.0, 6.0, 0.05
 """By how much these may differ from a rig at rest: counts (two readings, each rounded either way), sigmas of the noise,
 and, of the accelerometer, a share of what it reads in the whole run."""
@@ -200,6 +202,21 @@ class Dataset:
         moved = np.concatenate([run.encoder[rows:] - run.encoder[:-rows] for run in self.runs])
         square = (float(np.mean(moved**2)) if moved.size else 0.0) - 2.0 * self.sigma[0] ** 2
         return math.sqrt(square) / rows * self.rig.sample_rate * self.rig.angle_per_count if square > 0 else USUAL_SPEED
+
+    @cached_property
+    def motion(self) -> np.ndarray:
+        """(MOTION, 2) angles (rad, of the encoder's count) and speeds (rad/s, over FIRST seconds) of all runs, each at
+        an equal share of the sum of squared speeds: where a run moves."""
+        rows = max(math.ceil(FIRST * self.rig.sample_rate), 1)
+        runs = [run.encoder * self.rig.angle_per_count for run in self.runs if len(run) > rows]
+        angles = np.concatenate([0.5 * (run[rows:] + run[:-rows]) for run in runs] or [np.zeros(0)])
+        moved = np.concatenate([run[rows:] - run[:-rows] for run in runs] or [np.zeros(0)])
+        speeds = moved / rows * self.rig.sample_rate
+        share = np.cumsum(speeds**2)
+        if not share.size or share[-1] == 0.0:
+            return np.zeros((0, 2))
+        at = np.searchsorted(share, (np.arange(MOTION) + 0.5) / MOTION * share[-1])
+        return np.stack([angles[at], speeds[at]], axis=1)
 
     @property
     def sigma(self) -> np.ndarray:

@@ -12,7 +12,9 @@ infinite horizon is the simulation driven by the logged command (output error). 
 Every rig that is simulated has its own (the gain is a function of the parameters: Ljung, section 4.3), with the same
 horizon.  With gains of the nominal rig a hypothesis would win by what it makes of them: with a rigid drive in place of
 a soft one the same gains forget after three fifths of the time, and errors that are predicted less far ahead are
-smaller whatever the cause.
+smaller whatever the cause.  So the linear rig is the one about its motion: torques that its effects put on the motor
+and the base as functions of angle and speed are in it by their slopes (``tangents``).  Or a drag that is viscous for
+all that the runs do would win over the damping that it is.
 """
 
 from __future__ import annotations
@@ -24,10 +26,12 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
+import scipy.linalg
 
 from station.estimation.noise import QUANTISATION
 from station.model.compiled import njit
-from station.model.modal import EXPONENTIAL, INTEGRAL, ModalForm, apply, function
+from station.model.effects import Effect, Stage
+from station.model.modal import EXPONENTIAL, INTEGRAL, ModalForm, apply, dense, function
 from station.model.simulate import Model, build
 from station.rig import Rig
 
@@ -52,6 +56,8 @@ FASTEST = 20.0, 1000.0
 """Over the horizon, and rad/s: of the nominal rig the modes that decay or swing faster than both are not corrected."""
 LONGEST = 4.0
 """The longest, in the logarithm of the size."""
+SMALL = 1e-3
+"""Of the speeds, the step by which a torque's slope is told."""
 LASTS = 12.0
 """Horizons after which nothing is left of an error that is forgotten after one, and the covariance has settled."""
 
@@ -71,10 +77,24 @@ class Observer:
     slope: float = SLOPE
     """Change of the memory's logarithm by that, there."""
 
-    def near(self, model: Model) -> Observer:
+    def near(self, model: Model, about: Tangents = ()) -> Observer:
         """The same, quicker to work out for rigs like this one."""
-        found = _design(self, _Linear(id(model.form), model))[1]
+        found = _design(self, _Linear(id(model.form), model, about))[1]
         return self if found is None else replace(self, log_size=found[0], slope=found[1])
+
+
+class Tangent(NamedTuple):
+    """What a torque at a part changes with its angle and speed, where the runs move."""
+
+    part: str
+    """motor or base."""
+    angle: float
+    """N m/rad."""
+    speed: float
+    """N m s/rad."""
+
+
+Tangents = tuple[Tangent, ...]
 
 
 class Correction(NamedTuple):
@@ -97,6 +117,7 @@ class _Linear:
     form: int
     """Its identity, which is no other's while the model is kept."""
     model: Model = field(compare=False)
+    tangents: Tangents
 
 
 class _Filter(NamedTuple):
@@ -115,16 +136,43 @@ class _Filter(NamedTuple):
     """Between two samples by the board's clock, s: by that horizons count, whatever a hypothesis says of it."""
 
 
+def tangents(rig: Rig, motion: np.ndarray) -> Tangents:
+    """Of a rig's torques about a motion (m, 2), of angles (rad) and speeds (rad/s) that weigh alike.
+
+    By the speed they are the mean derivative.  By the angle, in which a torque may go up and down within what the rig
+    moves, they are least squares from the mean angle (statistical linearisation: Booton, Proc. Symp. Nonlinear Circuit
+    Analysis, 1953), which for normal angles is the same.
+    """
+    laws = [effect for effect in rig.effects if effect.stage is Stage.TORQUE]
+    if not laws or not len(motion):
+        return ()
+    (angles, speeds), state = motion.T, [0.0] * 8
+    middle, step = float(np.mean(angles)), SMALL * float(np.sqrt(np.mean(speeds**2)))
+    away = angles - middle
+
+    def tangent(effect: Effect) -> Tangent:
+        p = effect.arguments(rig)
+
+        def torque(angle: float, speed: float) -> float:
+            return type(effect).law(angle, speed, 0.0, p, state, rig.period)
+        by_angle, by_speed = np.array([(torque(x, v) - torque(middle, v), torque(x, v + step) - torque(x, v - step))
+                                       for x, v in motion.tolist()]).T
+        part = "base" if effect.at == "base" and rig.drive is not None else "motor"
+        return Tangent(part, float(away @ by_angle) / max(float(away @ away), 1e-300),
+                       float(np.mean(by_speed)) / (2.0 * step))
+    return tuple(map(tangent, laws))
+
+
 @functools.lru_cache(maxsize=64)
-def correction(observer: Observer, model: Model) -> Correction:
+def correction(observer: Observer, model: Model, about: Tangents = ()) -> Correction:
     """What one count of error changes in a rig's simulation, the same for all its runs; not finite where a rig has no
-    such observer.
+    such observer.  ``about``: the slopes of its torques where it moves.
 
     An encoder that is late shows what was to be corrected then: it is carried forward to now, by the rig without its
     effects, and so are the readings that have not been shown.  Or a late encoder would be a worse observer than a late
     command that does the same.
     """
-    at_once = _design(observer, _Linear(id(model.form), model))[0]
+    at_once = _design(observer, _Linear(id(model.form), model, about))[0]
     plan, form, period, decay = model.plan, model.form, _period(model), at_once.decay
     if plan.encoder_delay == 0.0 or at_once.torque == 0.0:
         return at_once
@@ -154,17 +202,18 @@ def _design(observer: Observer, linear: _Linear) -> tuple[Correction, tuple[floa
     if math.isinf(horizon):
         return Correction(state, 0.0, 0.0, np.zeros(0)), None
     slowest = _corrected(observer, form)
-    system, kept = _filter(model, horizon, slowest), form.columns(slowest)
+    system, kept = _filter(model, horizon, slowest, linear.tangents), form.columns(slowest)
     gain, log_size, slope = _designed(system, observer.variance, horizon, observer.log_size, observer.slope)
     state[kept] = gain[:-1]
     found = Correction(state, float(gain[-1]), system.decay, np.zeros(0))
     return found, (float(log_size), float(slope)) if np.isfinite(gain).all() else None
 
 
-def noise_gain(observer: Observer, model: Model) -> float:
+def noise_gain(observer: Observer, model: Model, about: Tangents = ()) -> float:
     """Mean square of the errors of predictions into which white noise of the encoder, of variance one, is fed back."""
     slowest = _corrected(observer, model.form)
-    found, system = _design(observer, _Linear(id(model.form), model))[0], _filter(model, observer.horizon, slowest)
+    found = _design(observer, _Linear(id(model.form), model, about))[0]
+    system = _filter(model, observer.horizon, slowest, about)
     gain = np.append(found.state[model.form.columns(slowest)], found.torque)
     error, total, left = 1.0, 0.0, np.zeros(len(gain))
     for _ in range(math.ceil(LASTS * observer.horizon / _period(model))):
@@ -184,12 +233,16 @@ def _speeds(form: ModalForm) -> np.ndarray:
     return np.abs(form.eigenvalues).min(axis=1)
 
 
-def _filter(model: Model, horizon: float, blocks: np.ndarray) -> _Filter:
+def _filter(model: Model, horizon: float, blocks: np.ndarray, about: Tangents = ()) -> _Filter:
     """Of the modes ``blocks`` alone."""
     form, kept, decay = model.form, model.form.columns(blocks), math.exp(-model.rig.period / horizon)
     still = form.inverse[kept, : model.assembly.size] @ model.assembly.rigid
     shown = model.plan.base_angle[kept] * model.plan.counts_per_radian
-    f, enters = _transition(form.kind[blocks], form.eigenvalues[blocks], model.per_count[kept], decay, _period(model))
+    if about:
+        f, enters = _about(model, blocks, about, decay)
+    else:
+        f, enters = _transition(form.kind[blocks], form.eigenvalues[blocks], model.per_count[kept], decay,
+                                _period(model))
     return _Filter(f, np.append(shown, 0.0), enters, np.append(still / (shown @ still), 0.0), decay, model.rig.period)
 
 
@@ -206,6 +259,22 @@ def _transition(kind, eigenvalues, per_count, decay, period):
         enters[j] = held[2, i] * per_count[i] + held[3, i] * per_count[j]
     for i in range(size + 1):
         f[i, size] = enters[i] * decay
+    return f, enters
+
+
+def _about(model: Model, blocks: np.ndarray, about: Tangents, decay: float) -> tuple[np.ndarray, np.ndarray]:
+    """The same of a rig on whose motor and base act torques of these slopes, which join its modes."""
+    form, kept, parts = model.form.select(blocks), model.form.columns(blocks), model.assembly
+    size, n = len(kept), parts.size
+    held = np.zeros((size + 1, size + 1))
+    held[:size, :size], held[:size, size] = dense(form.rates()), model.per_count[kept]
+    for part, angle, speed in about:
+        at = parts.base if part == "base" else parts.motor
+        force = form.inverse[:, n:] @ np.linalg.solve(parts.mass, parts.unit(at))
+        held[:size, :size] += np.outer(force, angle * form.basis[at] + speed * form.basis[n + at])
+    f = scipy.linalg.expm(_period(model) * held)
+    enters = np.append(f[:size, size], 1.0)
+    f[:, size] = enters * decay
     return f, enters
 
 

@@ -10,6 +10,7 @@ direct method (Ljung 1999, section 13.4).
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,7 +20,7 @@ import numpy as np
 
 from station.estimation.dataset import Dataset, Logs
 from station.estimation.likelihood import blocks_independent
-from station.estimation.observer import Observer, correction
+from station.estimation.observer import Observer, Tangents, correction, tangents
 from station.estimation.parameters import Parameters
 from station.estimation.pool import Pool
 from station.model.compiled import kernel
@@ -101,6 +102,12 @@ def is_compiled() -> bool:
     return any(Path(_predict.stats.cache_path).glob(f"{Path(code.co_filename).stem}.{code.co_name}-*.nbi"))
 
 
+@functools.lru_cache(maxsize=64)
+def in_motion(data: Dataset, model: Model) -> Tangents:
+    """The slopes of a rig's torques where these runs move."""
+    return tangents(model.rig, data.motion)
+
+
 def _predicted(data: Dataset, model: Model, observers: Sequence[Observer], logs: Logs, starts: Sequence[State],
                own: np.ndarray, accel_at: np.ndarray, blocks: int, disturbance: np.ndarray) -> np.ndarray:
     """Runs of a dataset by h observers: ``blocks`` channels of each, one run after another, counts, unrounded.
@@ -111,7 +118,8 @@ def _predicted(data: Dataset, model: Model, observers: Sequence[Observer], logs:
     out: np.ndarray = np.empty(blocks * logs.command.size)
     used = [*observers, data.finder if logs.finding.any() else observers[0]]
     fresh = tuple(np.array(rows) for rows in zip(*((s.z, s.effects, s.last) for s in starts), strict=True))
-    states, torques, decays, angles = zip(*(correction(o, model) for o in used), strict=True)
+    about = in_motion(data, model)
+    states, torques, decays, angles = zip(*(correction(o, model, about) for o in used), strict=True)
     late = np.zeros((len(used), max(a.size for a in angles)))
     for row, angle in zip(late, angles, strict=True):
         row[: angle.size] = angle
@@ -162,7 +170,8 @@ class Predictor:
     def near(self, space: Parameters, x: np.ndarray) -> Predictor:
         """The same, quicker for rigs like the one that a parameter vector describes."""
         model = self.model(space, x)
-        return replace(self, observers=tuple(observer.near(model) for observer in self.observers))
+        about = in_motion(self.data, model)
+        return replace(self, observers=tuple(observer.near(model, about) for observer in self.observers))
 
     def around(self, space: Parameters, x: np.ndarray) -> Predictor:
         """The same for rigs so near to the one that a parameter vector describes that they are told to first order, as

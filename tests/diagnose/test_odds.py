@@ -89,6 +89,8 @@ def told(effect: tuple[str, str], sizes: dict[str, float], sigma: dict[str, floa
 @pytest.mark.parametrize(("effect", "sizes", "sigma", "none"), [
     (FRICTION, {"torque": 0.03}, {"torque": 0.5}, False), (FRICTION, {"torque": 0.03}, {"torque": 0.52}, True),
     (("actuator_saturation", "amplifier"), {"limit": 90.0}, {"limit": 0.6}, True),
+    (("sublinear_drag", "motor"), {"coefficient": 0.02, "speed": 3.0}, {"coefficient": 0.1, "speed": 0.5}, False),
+    (("sublinear_drag", "motor"), {"coefficient": 0.02, "speed": 3.0}, {"coefficient": 0.1, "speed": 0.52}, True),
     (("gain_asymmetry", "amplifier"), {"ratio": 0.9}, {"ratio": 0.1}, False),
     (("gain_asymmetry", "amplifier"), {"ratio": 0.9}, {"ratio": 1e3}, True),
     (("gravity_tilt", "base"), {"torque": 0.1, "angle": 1.0}, {"torque": 0.1, "angle": 3.0}, False),
@@ -97,7 +99,7 @@ def told(effect: tuple[str, str], sizes: dict[str, float], sigma: dict[str, floa
 def test_a_size_that_its_interval_does_not_tell_from_none_may_be_none(
         effect: tuple[str, str], sizes: dict[str, float], sigma: dict[str, float], none: bool) -> None:
     """A logarithm's never reaches none, and beyond a factor of e to either side is no knowledge of a size; where and
-    how fast a law acts is no size; a law of several sizes is there if one of them is."""
+    how fast a law acts is no size; a law of several sizes is there if one of them is, and levels off if that is."""
     assert told(effect, sizes, sigma) is none
 
 

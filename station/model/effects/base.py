@@ -86,7 +86,8 @@ turn in a fifth of a second, with the rest after them."""
 
 @dataclass(frozen=True)
 class ParameterInfo:
-    """One parameter of an effect: its unit, closed bounds, and the value at which the effect does nothing.
+    """One parameter of an effect: its unit, closed bounds, and the value at which the effect does nothing, or at
+    infinity nothing that a constant of the rig does not do.
 
     ``rounded``: a level at which readings stand still, so that all of them have one rounding error.
     """

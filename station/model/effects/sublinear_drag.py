@@ -1,5 +1,6 @@
 """Drag that grows less than in proportion to the speed."""
 
+import math
 from typing import ClassVar
 
 from station.model.effects.base import Effect, Stage, parameter
@@ -22,7 +23,7 @@ class SublinearDrag(Effect):
                " friction also holds at rest")
 
     coefficient: float = parameter("N m s/rad", 0.0, neutral=0.0)
-    speed: float = parameter("rad/s", 1e-3, 1e3)
+    speed: float = parameter("rad/s", 1e-3, math.inf, neutral=math.inf)
 
     @classmethod
     def cases(cls, rig, at, values):
