@@ -40,10 +40,10 @@ from station.estimation.cause import Key
 from station.estimation.dataset import canonical_order, dataset
 from station.estimation.least_squares import CANNOT_SIMULATE, DIVERGED
 from station.estimation.loaded import load_compiled
-from station.estimation.observer import observers
+from station.estimation.observer import observers, torque_gains
 from station.estimation.parameters import Parameters
 from station.estimation.pool import SIZE, Pool
-from station.estimation.prediction import SEARCH, Predictor, predict_run
+from station.estimation.prediction import SEARCH, Predictor, in_motion, predict_run
 from station.model.simulate import build
 from station.rig import Rig
 from station.runs.run import Run
@@ -179,18 +179,24 @@ def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice], list
 
 
 def _disturbance(predictor: Predictor, rigs: Sequence[tuple[Parameters, np.ndarray]]) -> Disturbance:
-    """The torque at the motor that the quickest observer needs with each rig, its encoder's zeros and places in a gap
-    (parameters and x), in the rows that count: a share of the command's rms torque."""
+    """The torque at the motor that is missing with each rig, its encoder's zeros and places in a gap (parameters and
+    x), in the rows that count: a share of the command's rms torque.
+
+    It is what the quickest observer makes of it over the share of a torque that it shows, less what the encoder's noise
+    makes of it.
+    """
     data, quickest = predictor.data, predictor.observers[:1]
 
     def share(rig: tuple[Parameters, np.ndarray]) -> float:
         space, x = rig
         model, missing, command = build(space.rig_at(x), *SEARCH[:2]), 0.0, 0.0
+        shown, noise = torque_gains(quickest[0], model, in_motion(data, model))
         for r, (run, record) in enumerate(zip(data.runs, data.records, strict=True)):
             torque = predict_run(data, model, quickest, r, data.own[r], zero=space.zero(x, record.zero_group),
                                  place=space.place(x, r))[1][0]
             torque, given = torque[record.window], run.command[record.window]
-            missing, command = missing + float(torque @ torque), command + float(given @ given)
-        return float(np.sqrt(missing / max(command, 1e-300)))
+            missing += float(torque @ torque) - noise * float(data.sigma[0] ** 2) * len(torque)
+            command += float(given @ given)
+        return float(np.sqrt(max(missing, 0.0) / max(command, 1e-300)) / shown)
     nominal, refitted, extended = predictor.pool.map(share, rigs)
     return Disturbance(nominal=nominal, refitted=refitted, extended=extended)

@@ -211,16 +211,39 @@ def _design(observer: Observer, linear: _Linear) -> tuple[Correction, tuple[floa
 
 def noise_gain(observer: Observer, model: Model, about: Tangents = ()) -> float:
     """Mean square of the errors of predictions into which white noise of the encoder, of variance one, is fed back."""
+    return _fed_back(*_at_work(observer, model, about), observer.horizon)[0]
+
+
+def torque_gains(observer: Observer, model: Model, about: Tangents = ()) -> tuple[float, float]:
+    """The share that an observer's torque is of one that acts and stays, and its mean square by white noise of the
+    encoder, of variance one.
+
+    The torque fades with the horizon, so that angle and speed are corrected, too.  With x what an observer has wrong of
+    the rig's state before a reading, and F, b, h, K the rig's, its input's, its encoder's and the observer's:
+    d = phi k/(1 - phi) h x stays where x = F (I - K h) x + b (1 - d).
+    """
+    system, gain = _at_work(observer, model, about)
+    f, b, h, stays = system.f[:-1, :-1], system.enters[:-1], system.h[:-1], system.decay / (1.0 - system.decay)
+    wrong = np.linalg.solve(np.eye(len(b)) - f + np.outer(f @ gain[:-1] + stays * gain[-1] * b, h), b)
+    return float(stays * gain[-1] * (h @ wrong)), _fed_back(system, gain, observer.horizon)[1]
+
+
+def _at_work(observer: Observer, model: Model, about: Tangents) -> tuple[_Filter, np.ndarray]:
+    """An observer's filter of a rig, and its gain (s)."""
     slowest = _corrected(observer, model.form)
     found = _design(observer, _Linear(id(model.form), model, about))[0]
-    system = _filter(model, observer.horizon, slowest, about)
-    gain = np.append(found.state[model.form.columns(slowest)], found.torque)
-    error, total, left = 1.0, 0.0, np.zeros(len(gain))
-    for _ in range(math.ceil(LASTS * observer.horizon / _period(model))):
-        total += error * error
+    return (_filter(model, observer.horizon, slowest, about),
+            np.append(found.state[model.form.columns(slowest)], found.torque))
+
+
+def _fed_back(system: _Filter, gain: np.ndarray, horizon: float) -> tuple[float, float]:
+    """Mean squares of prediction errors and of the torque by white noise of the encoder, of variance one."""
+    error, errors, torques, left = 1.0, 0.0, 0.0, np.zeros(len(gain))
+    for _ in range(math.ceil(LASTS * horizon / system.period)):
+        errors += error * error
         left = system.f @ (left + gain * error)
-        error = -float(system.h @ left)
-    return total
+        error, torques = -float(system.h @ left), torques + float(left[-1] ** 2)
+    return errors, torques
 
 
 def _corrected(observer: Observer, form: ModalForm) -> np.ndarray:

@@ -20,6 +20,7 @@ from station.estimation.observer import (
     noise_gain,
     observers,
     tangents,
+    torque_gains,
 )
 from station.model.effects import Effect, effect_class
 from station.model.simulate import build, initial_state
@@ -125,6 +126,43 @@ def test_what_noise_makes_of_predictions_is_known(shape: str) -> None:
         advance(model.plan, state, 0.0, torque, work)
     expected = noise_gain(quick, model)
     assert expected > 1.0 and float(np.mean(np.square(missed))) == pytest.approx(expected, rel=0.03)
+
+
+@pytest.mark.parametrize("shape", RIGS)
+def test_what_one_wrong_reading_makes_of_the_torque_is_known(shape: str) -> None:
+    """Squared and summed it is what white noise makes of it."""
+    quick, model = observers(bare(shape), 2.0)[0], build(bare(shape), 0.1, 1e-3)
+    state, (gain, at_motor, decay, _) = initial_state(model, 0.0, 0.0), correction(quick, model)
+    work, torque, torques = np.zeros((4, model.plan.port_joint.size + 1)), 0.0, []
+    begin(model.plan, state)
+    for row in range(math.ceil(12.0 * quick.horizon / model.rig.period)):
+        missed = float(row == 0) - sense(model.plan, state, 0.0, False)[0]
+        state.z[:] += gain * missed
+        torque = decay * (torque + at_motor * missed)
+        torques.append(torque)
+        advance(model.plan, state, 0.0, torque, work)
+    assert float(np.sum(np.square(torques))) == pytest.approx(torque_gains(quick, model)[1], rel=0.01)
+
+
+@pytest.mark.parametrize("horizon", [0.03, 0.2])
+@pytest.mark.parametrize("shape", RIGS)
+def test_the_share_that_an_observer_shows_of_a_torque_that_stays_is_known(shape: str, horizon: float) -> None:
+    """Some counts that act and that nobody told it of; the stepper, row by row."""
+    rig = bare(shape)
+    (observer,), model, acts = observers(rig, 0.1, (horizon,)), build(rig, 0.0, 1e-3), 7.0
+    wrong, right = (initial_state(model, 0.0, 0.0) for _ in range(2))
+    (gain, at_motor, decay, _), work = correction(observer, model), np.zeros((4, model.plan.port_joint.size + 1))
+    begin(model.plan, wrong)
+    begin(model.plan, right)
+    torque = 0.0
+    for _ in range(math.ceil(40.0 * max(horizon, 0.1) / rig.period)):
+        missed = sense(model.plan, right, 0.0, False)[0] - sense(model.plan, wrong, 0.0, False)[0]
+        wrong.z[:] += gain * missed
+        torque = decay * (torque + at_motor * missed)
+        advance(model.plan, wrong, 0.0, torque, work)
+        advance(model.plan, right, 0.0, acts, work)
+    share = torque_gains(observer, model)[0]
+    assert 0.02 < share < 1.0 and torque / acts == pytest.approx(share, rel=0.02)
 
 
 OTHER = [("two-mass", {"motor.inertia": 0.1}), ("servo", {"motor.damping": 20.0}), ("axis", {"motor.gain": 30.0}),

@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from station.diagnose.result import Cause, Diagnosis
     from station.rig import Rig
 
-SMALL = 0.01
-"""Share of the command's torque below which a missing one is called little: what a motor does from one test to the next
-differs by as much."""
+SMALL = 0.02
+"""Share of the command's torque below which a missing one is called little: models of rigs lack as much
+(``estimation.observer.UNMODELLED``, a fiftieth of what tests command)."""
 
 
 def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
