@@ -35,6 +35,7 @@ def spread(run: Run) -> Run:
         if column.gaps and column.name in found:
             found[column.name] = np.where(ticks % 2 == 1, np.nan, found[column.name])
     lost = (ticks % 2 == 1) | ~run.logged[ticks // 2]
+    found["t"] = run.t[0] + 0.5 * ticks / run.sample_rate   # what was a little off its tick would be twice as much
     known = _reference(run)
     if known is not None:
         found["reference"] = known

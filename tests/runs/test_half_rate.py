@@ -101,3 +101,13 @@ def test_commands_between_the_rows_have_no_bias() -> None:
     run = logged("p", STEP | {"rest": 0.2}, late=0)
     off = missed(run)
     assert np.count_nonzero(off) > 10 and abs(np.mean(off[off != 0.0])) < 0.1
+
+
+def test_times_that_are_a_little_off_their_ticks_are_on_those_of_the_rig() -> None:
+    """Of the longer period they are off by less than a log may be, of the shorter one by more."""
+    half = halved(logged("lead"))
+    off = 0.015 * 0.004 * np.random.default_rng(1).uniform(-1.0, 1.0, len(half))
+    run = replace(half, t=half.t + off)
+    filled = run.filled(500.0)
+    np.testing.assert_allclose(np.diff(filled.t), 0.5 / run.sample_rate, rtol=1e-9)
+    assert filled.t[0] == run.t[0] and len(filled) == 2 * len(run) - 1
