@@ -52,7 +52,7 @@ def print_diagnosis(result: DiagnosisResult, console: Console, rig: str = "RIG")
     if told := wording.disturbance(found):
         console.print(_plain(told))
     if differ := wording.between_runs(found):
-        console.print(_plain(f"{differ} That is {wording.differences(found)}."))
+        console.print(_plain(differ))
     if gone := wording.gone(found):
         console.print(wording.sentence(f"on runs that no fit has seen, {gone}"))
     for told in wording.beyond(result):
