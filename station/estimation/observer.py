@@ -13,8 +13,9 @@ Every rig that is simulated has its own (the gain is a function of the parameter
 horizon.  With gains of the nominal rig a hypothesis would win by what it makes of them: with a rigid drive in place of
 a soft one the same gains forget after three fifths of the time, and errors that are predicted less far ahead are
 smaller whatever the cause.  So the linear rig is the one about its motion: torques that its effects put on the motor
-and the base as functions of angle and speed are in it by their slopes (``tangents``).  Or a drag that is viscous for
-all that the runs do would win over the damping that it is.
+and the base as functions of the speed are in it by their slopes (``slopes``).  Or a drag that is viscous for all that
+the runs do would win over the damping that it is.  What torques change with the angle is no matter within the quick
+horizon, and a pendulum's weight, which holds where it hangs and topples where it stands, has no one slope.
 """
 
 from __future__ import annotations
@@ -77,24 +78,14 @@ class Observer:
     slope: float = SLOPE
     """Change of the memory's logarithm by that, there."""
 
-    def near(self, model: Model, about: Tangents = ()) -> Observer:
+    def near(self, model: Model, about: Slopes = ()) -> Observer:
         """The same, quicker to work out for rigs like this one."""
         found = _design(self, _Linear(id(model.form), model, about))[1]
         return self if found is None else replace(self, log_size=found[0], slope=found[1])
 
 
-class Tangent(NamedTuple):
-    """What a torque at a part changes with its angle and speed, where the runs move."""
-
-    part: str
-    """motor or base."""
-    angle: float
-    """N m/rad."""
-    speed: float
-    """N m s/rad."""
-
-
-Tangents = tuple[Tangent, ...]
+Slopes = tuple[tuple[str, float], ...]
+"""Parts (motor, base) and what a torque there changes with their speed where the runs move, N m s/rad."""
 
 
 class Correction(NamedTuple):
@@ -117,7 +108,7 @@ class _Linear:
     form: int
     """Its identity, which is no other's while the model is kept."""
     model: Model = field(compare=False)
-    tangents: Tangents
+    slopes: Slopes
 
 
 class _Filter(NamedTuple):
@@ -136,37 +127,26 @@ class _Filter(NamedTuple):
     """Between two samples by the board's clock, s: by that horizons count, whatever a hypothesis says of it."""
 
 
-def tangents(rig: Rig, motion: np.ndarray) -> Tangents:
-    """Of a rig's torques about a motion (m, 2), of angles (rad) and speeds (rad/s) that weigh alike.
-
-    By the speed they are the mean derivative.  By the angle, in which a torque may go up and down within what the rig
-    moves, they are least squares from the mean angle (statistical linearisation: Booton, Proc. Symp. Nonlinear Circuit
-    Analysis, 1953), which for normal angles is the same.
-    """
+def slopes(rig: Rig, motion: np.ndarray) -> Slopes:
+    """Of a rig's torques: the mean derivative by the speed over a motion (m, 2), angles (rad) and speeds (rad/s) that
+    weigh alike (statistical linearisation: Booton, Proc. Symp. Nonlinear Circuit Analysis, 1953)."""
     laws = [effect for effect in rig.effects if effect.stage is Stage.TORQUE]
     if not laws or not len(motion):
         return ()
-    (angles, speeds), state = motion.T, [0.0] * 8
-    middle, step = float(np.mean(angles)), SMALL * float(np.sqrt(np.mean(speeds**2)))
-    away = angles - middle
+    step, state = SMALL * float(np.sqrt(np.mean(motion[:, 1] ** 2))), [0.0] * 8
 
-    def tangent(effect: Effect) -> Tangent:
-        p = effect.arguments(rig)
-
-        def torque(angle: float, speed: float) -> float:
-            return type(effect).law(angle, speed, 0.0, p, state, rig.period)
-        by_angle, by_speed = np.array([(torque(x, v) - torque(middle, v), torque(x, v + step) - torque(x, v - step))
-                                       for x, v in motion.tolist()]).T
-        part = "base" if effect.at == "base" and rig.drive is not None else "motor"
-        return Tangent(part, float(away @ by_angle) / max(float(away @ away), 1e-300),
-                       float(np.mean(by_speed)) / (2.0 * step))
-    return tuple(map(tangent, laws))
+    def slope(effect: Effect) -> float:
+        law, p = type(effect).law, effect.arguments(rig)
+        return float(np.mean([law(x, v + step, 0.0, p, state, rig.period) - law(x, v - step, 0.0, p, state, rig.period)
+                              for x, v in motion.tolist()])) / (2.0 * step)
+    found = [("base" if effect.at == "base" and rig.drive is not None else "motor", slope(effect)) for effect in laws]
+    return tuple((part, value) for part, value in found if value != 0.0)
 
 
 @functools.lru_cache(maxsize=64)
-def correction(observer: Observer, model: Model, about: Tangents = ()) -> Correction:
+def correction(observer: Observer, model: Model, about: Slopes = ()) -> Correction:
     """What one count of error changes in a rig's simulation, the same for all its runs; not finite where a rig has no
-    such observer.  ``about``: the slopes of its torques where it moves.
+    such observer.  ``about``: the slopes of its torques where it moves (``slopes``).
 
     An encoder that is late shows what was to be corrected then: it is carried forward to now, by the rig without its
     effects, and so are the readings that have not been shown.  Or a late encoder would be a worse observer than a late
@@ -202,19 +182,19 @@ def _design(observer: Observer, linear: _Linear) -> tuple[Correction, tuple[floa
     if math.isinf(horizon):
         return Correction(state, 0.0, 0.0, np.zeros(0)), None
     slowest = _corrected(observer, form)
-    system, kept = _filter(model, horizon, slowest, linear.tangents), form.columns(slowest)
+    system, kept = _filter(model, horizon, slowest, linear.slopes), form.columns(slowest)
     gain, log_size, slope = _designed(system, observer.variance, horizon, observer.log_size, observer.slope)
     state[kept] = gain[:-1]
     found = Correction(state, float(gain[-1]), system.decay, np.zeros(0))
     return found, (float(log_size), float(slope)) if np.isfinite(gain).all() else None
 
 
-def noise_gain(observer: Observer, model: Model, about: Tangents = ()) -> float:
+def noise_gain(observer: Observer, model: Model, about: Slopes = ()) -> float:
     """Mean square of the errors of predictions into which white noise of the encoder, of variance one, is fed back."""
     return _fed_back(*_at_work(observer, model, about), observer.horizon)[0]
 
 
-def torque_gains(observer: Observer, model: Model, about: Tangents = ()) -> tuple[float, float]:
+def torque_gains(observer: Observer, model: Model, about: Slopes = ()) -> tuple[float, float]:
     """The share that an observer's torque is of one that acts and stays, and its mean square by white noise of the
     encoder, of variance one.
 
@@ -228,7 +208,7 @@ def torque_gains(observer: Observer, model: Model, about: Tangents = ()) -> tupl
     return float(stays * gain[-1] * (h @ wrong)), _fed_back(system, gain, observer.horizon)[1]
 
 
-def _at_work(observer: Observer, model: Model, about: Tangents) -> tuple[_Filter, np.ndarray]:
+def _at_work(observer: Observer, model: Model, about: Slopes) -> tuple[_Filter, np.ndarray]:
     """An observer's filter of a rig, and its gain (s)."""
     slowest = _corrected(observer, model.form)
     found = _design(observer, _Linear(id(model.form), model, about))[0]
@@ -256,7 +236,7 @@ def _speeds(form: ModalForm) -> np.ndarray:
     return np.abs(form.eigenvalues).min(axis=1)
 
 
-def _filter(model: Model, horizon: float, blocks: np.ndarray, about: Tangents = ()) -> _Filter:
+def _filter(model: Model, horizon: float, blocks: np.ndarray, about: Slopes = ()) -> _Filter:
     """Of the modes ``blocks`` alone."""
     form, kept, decay = model.form, model.form.columns(blocks), math.exp(-model.rig.period / horizon)
     still = form.inverse[kept, : model.assembly.size] @ model.assembly.rigid
@@ -285,16 +265,16 @@ def _transition(kind, eigenvalues, per_count, decay, period):
     return f, enters
 
 
-def _about(model: Model, blocks: np.ndarray, about: Tangents, decay: float) -> tuple[np.ndarray, np.ndarray]:
+def _about(model: Model, blocks: np.ndarray, about: Slopes, decay: float) -> tuple[np.ndarray, np.ndarray]:
     """The same of a rig on whose motor and base act torques of these slopes, which join its modes."""
     form, kept, parts = model.form.select(blocks), model.form.columns(blocks), model.assembly
     size, n = len(kept), parts.size
     held = np.zeros((size + 1, size + 1))
     held[:size, :size], held[:size, size] = dense(form.rates()), model.per_count[kept]
-    for part, angle, speed in about:
+    for part, slope in about:
         at = parts.base if part == "base" else parts.motor
         force = form.inverse[:, n:] @ np.linalg.solve(parts.mass, parts.unit(at))
-        held[:size, :size] += np.outer(force, angle * form.basis[at] + speed * form.basis[n + at])
+        held[:size, :size] += np.outer(force, slope * form.basis[n + at])
     f = scipy.linalg.expm(_period(model) * held)
     enters = np.append(f[:size, size], 1.0)
     f[:, size] = enters * decay

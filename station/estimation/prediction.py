@@ -20,7 +20,7 @@ import numpy as np
 
 from station.estimation.dataset import Dataset, Logs
 from station.estimation.likelihood import blocks_independent
-from station.estimation.observer import Observer, Tangents, correction, tangents
+from station.estimation.observer import Observer, Slopes, correction, slopes
 from station.estimation.parameters import Parameters
 from station.estimation.pool import Pool
 from station.model.compiled import kernel
@@ -103,9 +103,9 @@ def is_compiled() -> bool:
 
 
 @functools.lru_cache(maxsize=64)
-def in_motion(data: Dataset, model: Model) -> Tangents:
+def in_motion(data: Dataset, model: Model) -> Slopes:
     """The slopes of a rig's torques where these runs move."""
-    return tangents(model.rig, data.motion)
+    return slopes(model.rig, data.motion)
 
 
 def _predicted(data: Dataset, model: Model, observers: Sequence[Observer], logs: Logs, starts: Sequence[State],
