@@ -17,7 +17,8 @@ _WINDOWS_POLL = 0.005
 def abort_key(pressed: Callable[[], None]) -> Iterator[bool]:
     """Call ``pressed`` once, from another thread, when a key of KEYS is hit while the block runs.
 
-    Yields whether keys are heard: standard input must be a terminal and this program in its foreground.
+    Yields whether keys are heard: standard input must be a terminal and this program in its foreground.  A key that
+    was hit before, since the command began, counts.
     """
     over = threading.Event()
     listening = _on_windows(pressed, over) if os.name == "nt" else _on_posix(pressed, over)
@@ -56,7 +57,7 @@ def _on_posix(pressed: Callable[[], None], over: threading.Event) -> Iterator[bo
 
     thread = threading.Thread(target=listen, name="station-abort-key", daemon=True)
     try:
-        tty.setcbreak(keyboard)  # Ctrl-C stays a signal
+        tty.setcbreak(keyboard, termios.TCSANOW)  # Ctrl-C stays a signal, and keys hit before are not thrown away
         thread.start()
         yield True
     finally:

@@ -153,7 +153,8 @@ def run_test(port: Port, rig: Rig, compensator: Compensator, reference: np.ndarr
     (``partial(McapLogWriter, path)``); it is called once the device has been identified and is at rest, and before it
     is armed, so that a refused test leaves no file and a log that cannot be made arms nothing.
     ``progress(row, rows)`` is called about ten times a second from another thread; what it does or raises never
-    touches the loop.  ``abort``: once set, the motor is at zero within one tick and KeyboardInterrupt is raised.
+    touches the loop.  ``abort``: once set, the motor is at zero within one tick and KeyboardInterrupt is raised; where
+    it is set before the log is made, no motor is driven.
     ``realtime`` asks the system for a thread that is not disturbed (``station.loop.realtime``); what was got stands
     in the metadata.  ``force`` runs a closed loop without a passed check of this device and rig, and is logged.
 
@@ -195,6 +196,8 @@ def run_test(port: Port, rig: Rig, compensator: Compensator, reference: np.ndarr
         "command_limit": limit, "check": check, "began": clock.wall(clock.host_time).strftime("%Y-%m-%dT%H:%M:%SZ"),
         "host_time_began": clock.host_time, "sample_path": path, "outcome": "running"} | known)
     setup = Setup(identity, rig.sample_rate, limit, answer_ticks, DeviceLimits.of_rig(rig))
+    if abort is not None and abort.is_set():
+        raise KeyboardInterrupt
     sink = log_sink(completed)
     try:
         result = LoopResult(identity, completed, rest, Counts(), sample_path=path,

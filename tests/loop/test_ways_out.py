@@ -157,6 +157,16 @@ def test_the_abort_key_takes_the_motor_to_zero_within_one_tick(rows):
     assert rows.sinks[-1].metadata.model_extra["outcome"] == "interrupted"
 
 
+def test_an_abort_before_the_log_is_made_drives_no_motor(rows):
+    abort = threading.Event()
+    abort.set()
+    with open_port("sim://sflr") as port:
+        with pytest.raises(KeyboardInterrupt):
+            rows.test(port, abort=abort)
+        assert at_rest(port)
+    assert not rows.sinks
+
+
 def test_a_pulled_cable_is_told_and_the_watchdog_takes_the_motor_to_zero(rows):
     with open_port(f"sim://sflr?unplug_after={ROW}") as port:
         device = port.serial.device
