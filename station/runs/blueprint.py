@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from station.errors import WorkError
-from station.runs.files import reason
+from station.runs.files import new_file
 
 if TYPE_CHECKING:
+    import rerun as rr
     import rerun.blueprint as rrb
 
 # view name, columns, in the order drawn
@@ -38,16 +39,33 @@ def write_blueprint(path: Path, columns: Sequence[str]) -> None:
     component mapping.
     """
     _load_rerun()
+    import rerun as rr
     import rerun.blueprint as rrb
+    from rerun_bindings import new_blueprint
 
     views = [_view(name, [column for column in wanted if column in columns]) for name, wanted in VIEWS
              if any(column in columns for column in wanted)]
     blueprint = rrb.Blueprint(rrb.Vertical(*views), rrb.TimePanel(state="collapsed", timeline="message_log_time"))
-    try:
-        path.unlink(missing_ok=True)
-        blueprint.save(path.stem.replace(".", "_"), os.fspath(path))
-    except (OSError, RuntimeError) as error:
-        raise WorkError(f"{path}: cannot be written ({reason(error)})") from None
+    stream = rr.RecordingStream._from_native(new_blueprint(
+        application_id=path.stem.replace(".", "_"), make_default=False, make_thread_default=False,
+        default_enabled=True))
+    with recorded(stream, path, overwrite=True):
+        stream.send_blueprint(blueprint)
+
+
+@contextmanager
+def recorded(recording: rr.RecordingStream, path: Path, overwrite: bool = False) -> Iterator[None]:
+    """What a recording is sent meanwhile becomes a file, whole or not at all.  WorkError where it cannot be written.
+
+    It is made in memory: what Rerun writes to a file by itself waits for ever where the disk is full.
+    """
+    made = recording.binary_stream()
+    with new_file(path, overwrite) as part:
+        try:
+            yield
+        finally:
+            recording.disconnect()
+        part.write_bytes(made.read() or b"")
 
 
 def _load_rerun() -> None:

@@ -163,7 +163,7 @@ class McapLogWriter:
         self.waits = 0
         self.rows_written = 0
         self._may_wait = metadata.entries().get("clock", "virtual") == "virtual"
-        self._capacity, self._blueprint = capacity, blueprint
+        self._capacity, self._blueprint, self._overwrite = capacity, blueprint, overwrite
         self._queue: deque[Sequence[float]] = deque()
         self._columns = tuple(columns)
         self._changed: RunMetadata | None = None
@@ -275,7 +275,7 @@ class McapLogWriter:
         if not self.rows_written:
             self.path.unlink(missing_ok=True)
         elif self._blueprint:
-            write_blueprint(blueprint_path(self.path), self._columns)
+            _draw(self.path, self._columns, self._overwrite)
 
     def __enter__(self) -> McapLogWriter:
         return self
@@ -299,4 +299,15 @@ def write_mcap(run: Run, path: str | os.PathLike[str], overwrite: bool = False, 
             encoder.block({name: values[start:start + BLOCK_ROWS] for name, values in columns.items()})
         encoder.finish(None)
     if blueprint:
-        write_blueprint(blueprint_path(path), tuple(columns))
+        _draw(path, tuple(columns), overwrite)
+
+
+def _draw(log: Path, columns: Sequence[str], overwrite: bool) -> None:
+    """Write a log's blueprint beside it.  A file of that name that is there already stays, unless ``overwrite``."""
+    path = blueprint_path(log)
+    if path.exists() and not overwrite:
+        return
+    try:
+        write_blueprint(path, columns)
+    except WorkError as error:
+        raise WorkError(f"{error}; the log {log} is whole without it") from None

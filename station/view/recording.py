@@ -18,7 +18,7 @@ from station.diagnose.result import RunComparison
 from station.errors import WorkError
 from station.model.simulate import Simulation, simulate
 from station.rig import Rig
-from station.runs.files import new_file
+from station.runs.blueprint import recorded
 from station.runs.run import RATES, Run
 from station.view import arm
 from station.view.bode import same_test_picture
@@ -64,17 +64,11 @@ def write_recording(path: str | os.PathLike[str], runs: Sequence[Entry], rig: Ri
         raise WorkError(f"{target}: cannot be written: no such folder")
     tabs = [_sources(entry, rig, extended) for entry in runs]
     recording = rr.RecordingStream(APPLICATION, recording_id=target.stem)
-    with new_file(target, overwrite=True) as part:
-        try:
-            recording.save(part, _blueprint(tabs, rig))
-            recording.send_recording_name(target.stem)
-            for number, (run, sources) in enumerate(tabs, start=1):
-                _log_run(recording, f"run_{number}", run, sources, rig, status_names)
-            recording.flush()
-        except (OSError, RuntimeError, ValueError) as error:
-            raise WorkError(f"{target}: cannot be written: {error}") from None
-        finally:
-            recording.disconnect()
+    with recorded(recording, target, overwrite=True):
+        recording.send_blueprint(_blueprint(tabs, rig))
+        recording.send_recording_name(target.stem)
+        for number, (run, sources) in enumerate(tabs, start=1):
+            _log_run(recording, f"run_{number}", run, sources, rig, status_names)
 
 
 def _sources(entry: Entry, rig: Rig, extended: Rig | None) -> tuple[Run, dict[str, Simulation]]:

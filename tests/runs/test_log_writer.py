@@ -291,3 +291,11 @@ def test_the_file_is_synced_once_a_second_and_at_its_end(tmp_path, monkeypatch):
     assert all(after - before >= 0.95 for before, after in pairwise(synced))
     log.close()
     assert len(synced) == 4
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_file_where_the_blueprint_would_be_is_replaced_where_that_was_asked_alone(tmp_path, overwrite):
+    (tmp_path / "a.rbl").write_bytes(b"mine")
+    with McapLogWriter(tmp_path / "a.mcap", METADATA, overwrite=overwrite) as log:
+        log.append(row(0))
+    assert ((tmp_path / "a.rbl").read_bytes() == b"mine") is not overwrite
