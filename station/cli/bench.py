@@ -56,7 +56,7 @@ def bench(
     period = 1.0 / paced.rate
     told = {"rig": RIG, "test": TEST, "rows": len(run), "jobs": found, "rate": paced.rate,
             "answer": asdict(paced.latency), "answered": paced.answered}
-    if as_json(json, told):
+    if as_json(json, told, overwrite):
         return
     shown = table(f"A step of {TEST['duration']:g} s, {len(run)} samples", "job", "us a sample", "times real time")
     for one in found:

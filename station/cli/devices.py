@@ -30,7 +30,7 @@ def ports(json: Json = None, overwrite: Overwrite = False) -> None:
     simulated = [f"sim://{name}" for name in builtin_rigs()]
     sealed = [f"sim://{name}" for name in sealed_rigs()]
     if as_json(json, {"ports": [{"port": port.path, "description": port.description, "hardware": port.hardware}
-                                for port in found], "simulated": simulated, "sealed": sealed}):
+                                for port in found], "simulated": simulated, "sealed": sealed}, overwrite):
         return
     shown = table("", "port", "description")
     for port in found:
@@ -61,7 +61,7 @@ def loopback(
     with open_port(port, baud) as line, progress(f"loopback on {port}") as update:
         found = exchange(line, rate, seconds, answer_ticks, lambda row, rows: update(row / rows))
         counters = Client(line).statistics()._asdict()
-    if as_json(json, {**asdict(found), "counters": counters}):
+    if as_json(json, {**asdict(found), "counters": counters}, overwrite):
         return
     say(f"{'Good' if found.ok else 'Not good'}: {found.identity.board} on {port}")
     for words in found.verdict:
@@ -96,7 +96,7 @@ def check(
     model = load_rig(rig)
     with motor_driven(), open_port(port, baud) as line, progress(f"check on {port}") as update:
         found = check_rig(line, model, amplitude, lambda row, rows: update(row / rows))
-    if as_json(json, asdict(found)):
+    if as_json(json, asdict(found), overwrite):
         return
     say(f"{'Passed' if found.passed else 'Not passed'}: {model.name} on {port}")
     for words in found.words:

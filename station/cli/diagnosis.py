@@ -45,7 +45,7 @@ def diagnose(
     with progress("diagnosing") as update:
         result = find(nominal, loaded, effort=effort, progress=lambda text, share: update(share, text))
     result = with_files(result, files)
-    save(result, json=json, report=report, rig=save_rig)
+    save(result, json=json, report=report, rig=save_rig, overwrite=overwrite)
     if json == STDOUT:
         return
     print_diagnosis(result, console(), rig)
@@ -65,13 +65,14 @@ def with_files(result: DiagnosisResult, files: Mapping[str, Path]) -> DiagnosisR
     return replace(result, diagnosis=result.diagnosis.model_copy(update={"runs": runs}))
 
 
-def save(result: DiagnosisResult, *, json: Path | str | None, report: Path | None, rig: Path | None) -> None:
+def save(result: DiagnosisResult, *, json: Path | str | None, report: Path | None, rig: Path | None,
+         overwrite: bool) -> None:
     """Write what was asked for."""
     if rig is not None:
-        write_text(rig, result.extended_rig.to_toml())
+        write_text(rig, result.extended_rig.to_toml(), overwrite)
     if json is not None:
-        write_json(json, result.diagnosis.model_dump(mode="json", by_alias=True))
+        write_json(json, result.diagnosis.model_dump(mode="json", by_alias=True), overwrite)
     if report is not None:
         from station.view.report import write_report
 
-        write_report(result, report)
+        write_report(result, report, overwrite)

@@ -50,7 +50,7 @@ def import_(
     done = import_run(run, out, overwrite=overwrite, rig=described, zero_id=zero_id)
     tell_lacks(run, done)
     tell_refused(run, done)
-    _tell(json, out, done, run)
+    _tell(json, out, done, run, overwrite)
 
 
 @command(app, "export", PANEL, "station export step.mcap --out step.csv")
@@ -62,7 +62,7 @@ def export(run: RunFile, out: Out, json: Json = None, overwrite: Overwrite = Fal
     done = load_run(run)
     tell_lacks(run, done)
     export_run(done, out, overwrite)
-    _tell(json, out, done, run)
+    _tell(json, out, done, run, overwrite)
 
 
 def written(out: Path, run: Run, source: Path) -> dict[str, Any]:
@@ -71,8 +71,8 @@ def written(out: Path, run: Run, source: Path) -> dict[str, Any]:
             "test": run.metadata.test, "controller": run.metadata.controller}
 
 
-def _tell(json: str | None, out: Path, run: Run, source: Path) -> None:
-    if not as_json(json, written(out, run, source)):
+def _tell(json: str | None, out: Path, run: Run, source: Path, overwrite: bool) -> None:
+    if not as_json(json, written(out, run, source), overwrite):
         say(f"{out}: {len(run)} rows at {run.sample_rate:g} Hz from {source}")
 
 
@@ -102,9 +102,9 @@ def runs(
         from station.view.html import write_page
         from station.view.runs import PAGE, runs_html
 
-        write_page(folder / PAGE, runs_html(folder, found))
+        write_page(folder / PAGE, runs_html(folder, found), overwrite)
         note_(f"{folder / PAGE}: {len(found)} runs")
-    if as_json(json, {"runs": [_listed(item) for item in found]}):
+    if as_json(json, {"runs": [_listed(item) for item in found]}, overwrite):
         return
     shown = table("", "run", "test", "controller", "rig", "began", "s", "Hz", "tags", "remarks")
     for item in found:
@@ -146,7 +146,7 @@ def note(
     if text or tag or untag:
         annotate(run, tags=tag, without=untag, note=text)
     tags, notes = tags_of(run, metadata), notes_of(run, metadata)
-    if as_json(json, {"file": run, "tags": list(tags), "notes": list(notes)}):
+    if as_json(json, {"file": run, "tags": list(tags), "notes": list(notes)}, overwrite):
         return
     say(f"{run}: tags: {', '.join(tags) or 'none'}")
     for said in notes:
@@ -167,7 +167,7 @@ def trim(
 
     need_outputs(out, json, overwrite=overwrite, inputs=[run])
     done = cut(run, out, begin, end, overwrite=overwrite)
-    _tell(json, out, done, run)
+    _tell(json, out, done, run, overwrite)
 
 
 @command(app, "recover", PANEL, "station recover broken.mcap --out whole.mcap")
@@ -177,7 +177,8 @@ def recover(run: RunFile, out: Out, json: Json = None, overwrite: Overwrite = Fa
 
     need_outputs(out, json, overwrite=overwrite, inputs=[run])
     found = rescue(run, out, overwrite=overwrite)
-    if as_json(json, {"file": out, "source": run, "rows": found.rows, "cut_short": found.cut_short or None}):
+    if as_json(json, {"file": out, "source": run, "rows": found.rows, "cut_short": found.cut_short or None},
+               overwrite):
         return
     state = f"the log ends early ({found.cut_short})" if found.cut_short else "the log was complete"
     say(f"{out}: {found.rows} rows; {state}")
@@ -217,11 +218,11 @@ def replay(
             spec = controller_spec(controller, item.sample_rate)
             item = changed(item, metadata=item.metadata.model_copy(update={"controller": spec}))
         results.append((item, compare_replay(item, limit, shaped=shaped, tolerance=tolerance)))
-    simulated = _simulated(model, [item for item, _ in results], save) if model is not None else []
+    simulated = _simulated(model, [item for item, _ in results], save, overwrite) if model is not None else []
     if as_json(json, {"runs": [
             {"run": item.name, "max_abs_difference": found.max_abs_difference, "row": found.row, "same": found.same,
              "rows_beyond": found.rows_beyond, "note": found.note, **({"model": simulated[i]} if simulated else {})}
-            for i, (item, found) in enumerate(results)]}):
+            for i, (item, found) in enumerate(results)]}, overwrite):
         return
     for i, (item, found) in enumerate(results):
         say(f"{item.name}: largest difference {number(found.max_abs_difference)} counts, row {found.row} of "
@@ -237,7 +238,7 @@ def _command_limit(run: Run, path: Path) -> float:
     return run.metadata.command_limit or rig_of(run, path).command_limit
 
 
-def _simulated(model: str, runs: list[Run], save: Path | None) -> list[dict[str, Any]]:
+def _simulated(model: str, runs: list[Run], save: Path | None, overwrite: bool) -> list[dict[str, Any]]:
     """How a rig's simulation does the same tests; drawn beside the measured runs where that is asked for."""
     from station.cli.views import status_names
     from station.diagnose.compare import compare
@@ -247,7 +248,7 @@ def _simulated(model: str, runs: list[Run], save: Path | None) -> list[dict[str,
     rig = load_rig(model)
     found = compare(rig, runs).measures
     if save is not None:
-        write_recording(save, runs, rig, status_names=status_names())
+        write_recording(save, runs, rig, status_names=status_names(), overwrite=overwrite)
     return found
 
 

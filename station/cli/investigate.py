@@ -65,7 +65,7 @@ def investigate(
                            on_step=partial(_tell, kept))
         finally:
             kept.report()
-    if as_json(json, kept.told(found)):
+    if as_json(json, kept.told(found), overwrite):
         return
     say()
     say(f"{ENDS[found.outcome or 'budget']}: {found.why}.")
@@ -166,7 +166,8 @@ class Folder:
         from station.cli.diagnosis import save, with_files
 
         self.found = with_files(found.result, self.files)
-        save(self.found, json=self.path / "diagnosis.json", report=None, rig=self.path / "extended_rig.toml")
+        save(self.found, json=self.path / "diagnosis.json", report=None, rig=self.path / "extended_rig.toml",
+             overwrite=True)
 
     def told(self, found: Investigation) -> dict[str, Any]:
         """For programs: how it ended, the runs and the verdict after each, the last diagnosis."""

@@ -48,7 +48,7 @@ def simulate(rig: RigName, like: Annotated[Path, typer.Option("--like", metavar=
     need_outputs(out, json, overwrite=overwrite, inputs=[like, rig])
     made = simulated(model, run, name=out.stem)
     export_run(made, out, overwrite=overwrite)
-    if not as_json(json, written(out, made, like)):
+    if not as_json(json, written(out, made, like), overwrite):
         say(f"{out}: {len(made)} rows, the test of {like} on {model.name}")
 
 
@@ -65,7 +65,7 @@ def compare(runs: RunFiles, rig: RigName, json: Json = None, overwrite: Overwrit
         compared = against(model, as_logged(model, measured), update)
     tell_compared(runs, measured, compared)
     found = compared.measures
-    if as_json(json, {"runs": found}):
+    if as_json(json, {"runs": found}, overwrite):
         return
     console().print(comparison_table(model.name, found))
 
@@ -112,10 +112,10 @@ def fit(
         found = fit_rig(model, loaded, hold, domain=domain, starts=starts,
                         progress=lambda text, share: update(share, text))
     if save_rig is not None:
-        write_text(save_rig, found.rig.to_toml())
+        write_text(save_rig, found.rig.to_toml(), overwrite)
     if as_json(json, {"constants": [asdict(constant) for constant in found.constants],
                       "held": found.held, "flat": [str(direction) for direction in found.flat],
-                      "warnings": found.warnings, "chi2": found.chi2, "chi2_nominal": found.chi2_nominal}):
+                      "warnings": found.warnings, "chi2": found.chi2, "chi2_nominal": found.chi2_nominal}, overwrite):
         return
     say(found.table())
 
@@ -131,6 +131,7 @@ def bode(
     """Draw the frequency responses of a rig: finite elements, continuous beam, and a run's if one is given."""
     from station.rig import load_rig
     from station.runs import load_run
+    from station.runs.files import new_file
     from station.view.bode import bode_figure, response_table, responses
 
     need_outputs(out, json, overwrite=overwrite, inputs=[rig, run])
@@ -139,10 +140,12 @@ def bode(
     model, log = load_rig(rig), None if run is None else load_run(run)
     if run is not None and log is not None:
         tell_lacks(run, log)
-    bode_figure(model, log).savefig(out)
+    with new_file(out, overwrite) as part:
+        bode_figure(model, log).savefig(part, format=out.suffix[1:].lower())
     if json is not None:
         found, measured, _ = responses(model, log)
         told = {name: response_table(response) for name, response in found.items()}
-        if as_json(json, {"file": out, **told, **({} if measured is None else {"measured": response_table(measured)})}):
+        told |= {} if measured is None else {"measured": response_table(measured)}
+        if as_json(json, {"file": out, **told}, overwrite):
             return
     say(f"{out}: {rig}" + ("" if run is None else f" and {run}"))

@@ -211,7 +211,7 @@ def single(port: str, rig: str, out: Path, asked: dict[str, Any], reference: np.
             if out.exists() and (overwrite or not before):
                 note(f"the rows so far are in {out}")
             raise
-    if not as_json(json, counted(result, out)):
+    if not as_json(json, counted(result, out), overwrite):
         say(summary(result, out))
 
 
@@ -295,7 +295,7 @@ def _run(
     need_outputs(json, overwrite=overwrite, inputs=[plan, rig])
     with spoken(json):
         found = run_plan(plan, port, load_rig(rig), out, force=force, realtime=realtime, view=view, baud=baud)
-    as_json(json, found)
+    as_json(json, found, overwrite)
 
 
 app.add_typer(group, name="run", rich_help_panel=PANEL, epilog=(

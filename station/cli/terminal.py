@@ -74,11 +74,11 @@ def quantity(value: float | None, unit: str, digits: int = 4, none: str = "-") -
     return text if text == none or unit in ("", "1") else f"{text} {unit}"
 
 
-def as_json(target: str | Path | None, content: Any) -> bool:
+def as_json(target: str | Path | None, content: Any, overwrite: bool) -> bool:
     """Write a command's result where ``--json`` says; True where it took standard output, which is then its alone."""
     if target is None:
         return False
-    write_json(target, content)
+    write_json(target, content, overwrite)
     return str(target) == STDOUT
 
 
@@ -102,20 +102,28 @@ def _plain(content: Any) -> Any:
     return str(content) if isinstance(content, Path) else content
 
 
-def write_json(target: str | Path, content: Any) -> None:
+def write_json(target: str | Path, content: Any, overwrite: bool) -> None:
     """Write JSON to a file, or to standard output for ``-``."""
     text = json.dumps(_plain(content), indent=1, ensure_ascii=False, allow_nan=False)
     if str(target) == STDOUT:
         print(text, flush=True)
     else:
-        write_text(target, text + "\n")
+        write_text(target, text + "\n", overwrite)
 
 
-def write_text(path: str | Path, text: str) -> None:
+def said_in(path: Path, key: str) -> Any:
+    """What a JSON file says under a key; None where there is no such file, or it says nothing of it."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))[key]
+    except (OSError, ValueError, LookupError, TypeError):
+        return None
+
+
+def write_text(path: str | Path, text: str, overwrite: bool) -> None:
     """Write a file that the user named, whole or not at all; its folder must exist."""
     from station.runs.files import new_file
 
-    with new_file(path, overwrite=True) as part:
+    with new_file(path, overwrite) as part:
         part.write_text(text, encoding="utf-8", newline="\n")
 
 

@@ -43,11 +43,11 @@ def unseal(
         for line in told(hidden, found):
             say(line.strip())
         if out is not None:
-            write_text(out, text)
+            write_text(out, text, overwrite)
             say(f"{out}: the hidden rig, SHA-256 {fingerprint(name)}")
     place = hidden.name, hidden.at
     as_json(json, {"name": name, "sha256": fingerprint(name),
                    "hidden": {"effect": hidden.name, "at": hidden.at, "parameters": hidden.values()},
                    "named": None if found is None else place in [(c.effect, c.at) for c in found.causes],
                    "first": None if found is None else bool(found.causes)
-                   and place == (found.causes[0].effect, found.causes[0].at)})
+                   and place == (found.causes[0].effect, found.causes[0].at)}, overwrite)

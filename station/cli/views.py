@@ -65,7 +65,7 @@ def view(
     write = partial(write_recording, runs=loaded, rig=model, extended=None if extended is None else load_rig(extended),
                     status_names=status_names())
     if save is not None:
-        write(save)
+        write(save, overwrite=overwrite)
         say(f"{save}: {len(loaded)} run{'' if len(loaded) == 1 else 's'}")
         return
     with tempfile.TemporaryDirectory(prefix="station-") as folder:
@@ -104,7 +104,8 @@ def report(
         with progress(f"simulating the tests by {name}") as update:
             compared[name] = compare(model, taken, update)
     tell_compared(runs, loaded, next(iter(compared.values())))
-    write_page(out, beside_html(compared, [file_hash(path) for path in runs]))
-    if as_json(json, {"file": out, "simulated": {name: one.measures for name, one in compared.items()}}):
+    write_page(out, beside_html(compared, [file_hash(path) for path in runs]), overwrite)
+    if as_json(json, {"file": out, "simulated": {name: one.measures for name, one in compared.items()}},
+               overwrite):
         return
     say(f"{out}: {len(loaded)} run{'' if len(loaded) == 1 else 's'}")

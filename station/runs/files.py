@@ -44,16 +44,29 @@ def check_output(path: str | os.PathLike[str], overwrite: bool = False) -> Path:
 
 @contextmanager
 def new_file(path: str | os.PathLike[str], overwrite: bool = False) -> Iterator[Path]:
-    """Give a path beside the output to write to; move it into place at the end, remove it after a failure."""
+    """Give a path beside the output to write to; move it into place at the end, remove it after a failure.
+
+    Without ``overwrite`` a file that has come into its place meanwhile stays, too.
+    """
     path = check_output(path, overwrite)
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         yield part
+        if not overwrite:
+            _claim(path)
         os.replace(part, path)
     except OSError as error:
         raise WorkError(f"{path}: cannot be written ({reason(error)})") from None
     finally:
         part.unlink(missing_ok=True)
+
+
+def _claim(path: Path) -> None:
+    """Make the file, empty; WorkError where another has."""
+    try:
+        path.open("xb").close()
+    except FileExistsError:
+        raise WorkError(f"{path}: has come there meanwhile, and is not replaced; name another file") from None
 
 
 def reason(error: Exception) -> str:

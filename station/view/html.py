@@ -34,9 +34,9 @@ def render(template: str, *styles: str, figures: Mapping[str, go.Figure] = Mappi
                                                         **values)
 
 
-def write_page(path: str | Path, text: str) -> None:
+def write_page(path: str | Path, text: str, overwrite: bool = True) -> None:
     """Write a page, whole or not at all; WorkError where the file cannot be written."""
-    with new_file(path, overwrite=True) as part:
+    with new_file(path, overwrite) as part:
         part.write_text(text, encoding="utf-8")
 
 

@@ -48,14 +48,14 @@ Entry = RunComparison | Run
 
 
 def write_recording(path: str | os.PathLike[str], runs: Sequence[Entry], rig: Rig, *, extended: Rig | None = None,
-                    status_names: Mapping[int, str] | None = None) -> None:
+                    status_names: Mapping[int, str] | None = None, overwrite: bool = True) -> None:
     """Write a recording that opens with one tab for each run.
 
     A comparison brings measured, nominal and extended (re-fitted where nothing was added), a bare run measured and
     nominal, simulated on ``rig`` from the run's first readings, and, where that is given, the same on ``extended``.
     Time is the device's, from the run's first sample.  ``status_names`` maps status bits to words.  An existing file
-    is replaced; a file is written whole or not at all.  WorkError where it cannot be written, or a run's rate is not
-    the rig's.
+    is replaced, unless ``overwrite`` is False; a file is written whole or not at all.  WorkError where it cannot be
+    written, or a run's rate is not the rig's.
     """
     import rerun as rr
 
@@ -64,7 +64,7 @@ def write_recording(path: str | os.PathLike[str], runs: Sequence[Entry], rig: Ri
         raise WorkError(f"{target}: cannot be written: no such folder")
     tabs = [_sources(entry, rig, extended) for entry in runs]
     recording = rr.RecordingStream(APPLICATION, recording_id=target.stem)
-    with recorded(recording, target, overwrite=True):
+    with recorded(recording, target, overwrite):
         recording.send_blueprint(_blueprint(tabs, rig))
         recording.send_recording_name(target.stem)
         for number, (run, sources) in enumerate(tabs, start=1):

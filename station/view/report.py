@@ -32,9 +32,9 @@ SECTIONS = {"wrong": "What is wrong", "cause": "The cause", "rivals": "Rivals", 
 _LIBRARIES = ("numpy", "scipy", "numba", "control", "plotly")
 
 
-def write_report(result: DiagnosisResult, path: str | Path) -> None:
+def write_report(result: DiagnosisResult, path: str | Path, overwrite: bool = True) -> None:
     """Write the report of a diagnosis to ``path``; WorkError where the file cannot be written."""
-    write_page(path, report_html(result))
+    write_page(path, report_html(result), overwrite)
 
 
 def report_html(result: DiagnosisResult, written: datetime | None = None) -> str:

@@ -71,7 +71,7 @@ def test_a_plan_tells_its_table(station, tmp_path):
 
 
 def test_what_is_no_number_is_null(tmp_path):
-    write_json(tmp_path / "x.json", {"a": float("nan"), "b": [float("inf"), 1.5], "c": tmp_path})
+    write_json(tmp_path / "x.json", {"a": float("nan"), "b": [float("inf"), 1.5], "c": tmp_path}, False)
     assert json.loads((tmp_path / "x.json").read_text(encoding="utf-8")) == {
         "a": None, "b": [None, 1.5], "c": str(tmp_path)}
 

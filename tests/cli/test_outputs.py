@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import importlib
 import shutil
+from types import SimpleNamespace
 
 import pytest
 
-from station.rig import builtin_rigs
+from station.errors import WorkError
+from station.rig import builtin_rigs, load_rig
 
 WRITES = {
     "diagnose": ("--json", "--report", "--save-rig"),
@@ -44,6 +47,49 @@ def test_a_file_that_is_there_stays_as_it_is(station, arguments, tmp_path, name,
     ended = station(name, *arguments[name], option, there)
     assert ended.status == 1 and f"{there}: exists already; --overwrite replaces it" in ended.one_line()
     assert there.read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize(("name", "option"), [
+    (name, option) for name, options in WRITES.items() if name not in ("diagnose", "fit") for option in options])
+def test_a_file_that_comes_while_a_command_works_stays(station, arguments, tmp_path, monkeypatch, name, option):
+    """What is asked before the work began found nothing there."""
+    for module in ("files", "models", "views"):
+        monkeypatch.setattr(importlib.import_module(f"station.cli.{module}"), "need_outputs", lambda *_, **__: None)
+    there = tmp_path / f"there{ {'bode': '.svg', 'report': '.html'}.get(name, ENDINGS[option])}"
+    there.write_bytes(b"mine")
+    if name == "recover":
+        arguments[name] = [tmp_path / "log.mcap"]
+        assert station("export", tmp_path / "log.csv", "--out", tmp_path / "log.mcap").status == 0
+    ended = station(name, *arguments[name], option, there)
+    assert ended.status == 1 and f"{there}: " in ended.err.splitlines()[-1]
+    assert there.read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize("option", ["json", "report", "rig"])
+def test_a_file_that_comes_while_a_diagnosis_works_stays(tmp_path, monkeypatch, option):
+    from station.cli.diagnosis import save
+    from station.view import report
+
+    monkeypatch.setattr(report, "report_html", lambda result: "page")
+    result = SimpleNamespace(extended_rig=load_rig("sflr"), diagnosis=SimpleNamespace(model_dump=lambda **_: {}))
+    there = tmp_path / "there"
+    there.write_bytes(b"mine")
+    wanted = {"json": None, "report": None, "rig": None} | {option: there}
+    with pytest.raises(WorkError, match="exists already"):
+        save(result, **wanted, overwrite=False)
+    assert there.read_bytes() == b"mine"
+    save(result, **wanted, overwrite=True)
+    assert there.read_bytes() != b"mine" and list(tmp_path.iterdir()) == [there]
+
+
+def test_a_file_that_comes_while_another_is_written_in_its_place_stays(tmp_path):
+    from station.runs.files import new_file
+
+    there = tmp_path / "there"
+    with pytest.raises(WorkError, match="has come there meanwhile"), new_file(there) as part:
+        part.write_text("made")
+        there.write_text("mine")
+    assert there.read_text() == "mine" and list(tmp_path.iterdir()) == [there]
 
 
 @pytest.mark.parametrize(("name", "option", "source"), [
