@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from station.cli.options import Json, Overwrite, command, need_outputs
-from station.cli.terminal import as_json, console, note, number, progress, row, say, table, write_json
+from station.cli.terminal import as_json, console, note, number, progress, row, said_in, say, table, write_json
 from station.errors import UsageError, WorkError
 
 if TYPE_CHECKING:
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 PANEL = "Model and diagnosis"
+SUMMARY, REPORT = "summary.json", "report.html"
 
 
 @command(app, "campaign", PANEL, "station campaign plan.toml --out campaign")
@@ -56,6 +57,7 @@ def campaign(
         raise UsageError("--tls-ca, --tls-cert, --tls-key: of use with --scheduler tls://... alone")
     need_outputs(json, overwrite=overwrite, inputs=[plan])
     tasks = load_tasks(plan, effort)
+    _need_own(out)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -69,14 +71,23 @@ def campaign(
             note(f"{told.done} of {len(tasks)} cases are kept in {out}; the same command goes on from there")
             raise
     found = summary(results)
-    write_json(out / "summary.json", found)
-    write_campaign(found, out / "report.html", plan.name)
-    if not as_json(json, found):
+    write_json(out / SUMMARY, found, overwrite=True)
+    write_campaign(found, out / REPORT, plan.name)
+    if not as_json(json, found, overwrite):
         _show(found)
         say(f"{out / 'report.html'}, {out / 'summary.json'}")
     if results.failed:
         label, why = next(iter(results.failed.items()))
         raise WorkError(f"{len(results.failed)} of {len(tasks)} cases failed; {label}: {why}")
+
+
+def _need_own(out: Path) -> None:
+    """Refuse a folder with a summary or a report that no campaign made: they would be replaced."""
+    from station.campaign.summary import SCHEMA
+
+    for name in (SUMMARY, REPORT):
+        if (out / name).exists() and said_in(out / SUMMARY, "schema") != SCHEMA:
+            raise WorkError(f"{out / name}: no campaign made it, and none replaces it; name another --out")
 
 
 class _Told:

@@ -31,7 +31,10 @@ NOMINAL = "sflr"
 APART = ("step_apart", ("lead", {"kind": "step", "amplitude": -70.0}))
 """The run that the diagnosis never sees."""
 MARK = "station-demo"
-"""File that marks a folder as one that an earlier demo left, and this one may replace."""
+"""File that marks a folder as one that an earlier demo left, and where this one may replace what a demo makes."""
+MADE = ("diagnosis.json", "report.html", "extended_rig.toml", "hidden_rig.toml", "recording.rrd",
+        *(f"runs/{name}{ending}" for name in (*TESTS, APART[0]) for ending in (".mcap", ".rbl")))
+"""What a demo makes in its folder."""
 
 
 @command(app, "demo", "Start here", "station demo --seed 7")
@@ -77,7 +80,8 @@ def demo(
         with progress("diagnosing") as update:
             result = diagnose(nominal, list(runs.values()), effort, progress=lambda text, share: update(share, text))
         result = with_files(result, {name: folder / "runs" / f"{name}.mcap" for name in runs})
-        save(result, json=folder / "diagnosis.json", report=folder / "report.html", rig=folder / "extended_rig.toml")
+        save(result, json=folder / "diagnosis.json", report=folder / "report.html", rig=folder / "extended_rig.toml",
+             overwrite=True)
         print_diagnosis(result, console())
         say()
         say("4. The gain on a run kept apart, which no fit has seen")
@@ -95,15 +99,17 @@ def demo(
 
 
 def _fresh(folder: Path) -> Path:
-    """The folder, empty; only what an earlier demo left is taken away."""
+    """The folder, without what an earlier demo made; what else a person has put there stays."""
     if folder.exists() and not folder.is_dir():
         raise WorkError(f"{folder}: is a file; name a folder with --out")
     if folder.is_dir() and any(folder.iterdir()):
         if not (folder / MARK).is_file():
             raise WorkError(f"{folder}: holds files that no demo made; name another folder with --out")
-        shutil.rmtree(folder)
-    (folder / "runs").mkdir(parents=True)
-    write_text(folder / MARK, "Made by `station demo`, which replaces this folder when it runs again.\n")
+        for name in MADE:
+            (folder / name).unlink(missing_ok=True)
+    (folder / "runs").mkdir(parents=True, exist_ok=True)
+    write_text(folder / MARK, "Made by `station demo`, which replaces what it made here when it runs again.\n",
+               overwrite=True)
     return folder
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from station.cli.controllers import controller_spec
 from station.cli.run import live_view, log_sink, perform
-from station.cli.terminal import console, note, number, row, say, table, write_json
+from station.cli.terminal import console, note, number, row, said_in, say, table, write_json
 from station.errors import StationError, UsageError, WorkError
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ def run_plan(path: Path, port: str, rig: Rig, out: Path, *, force: bool = False,
 
     plan = load_plan(path, rig, lambda name, folder: _controller(name, folder, rig))
     _make_folder(out)
+    _need_own_table(plan, out / RESULTS)
     runs: dict[Trial, Run] = {}
     left: list[tuple[int, Trial]] = []
     for place, trial in enumerate(plan.trials, start=1):
@@ -62,6 +63,13 @@ def _make_folder(out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"--out {out}: a folder is wanted for a plan's runs ({error.strerror})") from None
+
+
+def _need_own_table(plan: Plan, path: Path) -> None:
+    """Refuse a folder whose table is not this plan's: it would be replaced."""
+    if path.exists() and said_in(path, "plan") != plan.identity:
+        raise UsageError(f"{path}: of another plan, an earlier text of this one, or no plan at all; name another "
+                         "--out")
 
 
 def _go_on(plan: Plan, line: Port, left: list[tuple[int, Trial]], runs: dict[Trial, Run], out: Path, *, force: bool,
@@ -123,9 +131,9 @@ def _tell(plan: Plan, runs: dict[Trial, Run], out: Path) -> dict[str, Any]:
             "runs": [{"file": trial.file_name, "repeat": trial.repeat, **each.as_dict()}
                      for trial, each in zip(made, found, strict=True)]})
     console().print(shown)
-    told = {"plan": f"{plan.name}.{plan.key}", "seed": plan.seed, "order": plan.order, "rig": plan.rig.name,
+    told = {"plan": plan.identity, "seed": plan.seed, "order": plan.order, "rig": plan.rig.name,
             "tests": written}
-    write_json(out / RESULTS, told)
+    write_json(out / RESULTS, told, overwrite=True)
     say(f"{len(runs)} runs in {out}; the table is in {out / RESULTS}")
     return told
 

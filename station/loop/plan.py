@@ -123,14 +123,14 @@ class Plan:
     trials: tuple[Trial, ...]
 
     @property
-    def key(self) -> str:
+    def identity(self) -> str:
         """Tells this plan from another, or from an earlier text of it."""
-        return hashlib.sha256(self.text.encode()).hexdigest()[:16]
+        return f"{self.name}.{hashlib.sha256(self.text.encode()).hexdigest()[:16]}"
 
     def metadata(self, trial: Trial, home: int, place: int) -> dict[str, Any]:
         """What a trial's run says of the plan: repeats of one test have ``plan`` and ``test_index`` in common."""
         known: dict[str, Any] = {
-            "test": trial.test, "plan": f"{self.name}.{self.key}", "test_index": trial.index, "test_name": trial.name,
+            "test": trial.test, "plan": self.identity, "test_index": trial.index, "test_name": trial.name,
             "repeat": trial.repeat, "place": place, "order": self.order, "seed": self.seed, "home": home}
         return known | ({"tags": list(trial.tags)} if trial.tags else {})
 
@@ -147,7 +147,7 @@ class Plan:
         except WorkError:  # cut short before its first row
             return None
         known = run.metadata.entries()
-        if known.get("plan") != f"{self.name}.{self.key}":
+        if known.get("plan") != self.identity:
             raise UsageError(f"{path}: of another plan, or of an earlier text of this one; name another --out")
         return run if known.get("outcome") == "complete" and "cut_short" not in known else None
 

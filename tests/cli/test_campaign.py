@@ -78,6 +78,17 @@ def test_wrong_use_is_one_line(station, tmp_path, options, status, said):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("name", ["summary.json", "report.html"])
+def test_what_no_campaign_made_is_not_replaced(station, tmp_path, name):
+    plan, mine = tmp_path / "plan.toml", tmp_path / "out" / name
+    plan.write_text(PLAN.replace("axis.toml", "sflr").partition("[[logs]]")[0], encoding="utf-8")
+    mine.parent.mkdir()
+    mine.write_text("{}", encoding="utf-8")
+    ended = station("campaign", plan, "--out", mine.parent)
+    assert ended.status == 1 and f"{mine}: no campaign made it" in ended.one_line()
+    assert mine.read_text(encoding="utf-8") == "{}" and list(mine.parent.iterdir()) == [mine]
+
+
 def test_a_plan_that_is_wrong_writes_nothing(station, tmp_path):
     plan = tmp_path / "plan.toml"
     plan.write_text(f'[blind]\ncases = 1\nimport = "{os.sep}tmp"\n', encoding="utf-8")

@@ -11,7 +11,7 @@ import pytest
 from station.campaign import hidden
 from station.campaign.hidden import CLEAR, LEFT_OUT, _outputs, draw, severity
 from station.campaign.simulated import planned
-from station.cli.demo import APART, MARK, TESTS, told
+from station.cli.demo import APART, MADE, MARK, TESTS, _fresh, told
 from station.cli.sealed import Sealed
 from station.diagnose.result import Cause, Diagnosis, DiagnosisResult, Estimate, Gain, Rival
 from station.model.effects import catalogue, effect_class
@@ -52,6 +52,16 @@ def test_diagnose_refuses_what_it_cannot_use(station, step, tmp_path):
     assert ended.status == 1 and "does not exist" in ended.one_line()
 
 
+def test_a_demo_takes_away_what_an_earlier_one_made_and_nothing_else(tmp_path):
+    out = tmp_path / "demo"
+    assert _fresh(out) == out
+    mine = [out / "notes.txt", out / "runs" / "own_run.mcap"]
+    for path in (*mine, *(out / name for name in MADE)):
+        path.write_text("x", encoding="utf-8")
+    _fresh(out)
+    assert sorted(path for path in out.rglob("*") if path.is_file()) == sorted([*mine, out / MARK])
+
+
 def test_the_demo_does_the_whole_job_and_opens_the_seal(station, tmp_path):
     out = tmp_path / "demo"
     ended = station("demo", "--seed", "3", "--effort", "quick", "--out", out)
@@ -59,6 +69,7 @@ def test_the_demo_does_the_whole_job_and_opens_the_seal(station, tmp_path):
     assert sum(word in ended.out for word in ("   RIGHT:", "   PARTLY RIGHT:", "   WRONG:")) == 1
     assert {path.name for path in out.iterdir()} == {
         MARK, "runs", "diagnosis.json", "extended_rig.toml", "hidden_rig.toml", "recording.rrd", "report.html"}
+    assert {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()} == {MARK, *MADE}
     sealed = hashlib.sha256((out / "hidden_rig.toml").read_bytes()).hexdigest()
     before_tests, _, _ = ended.out.partition("2. Tests")
     assert sealed in before_tests

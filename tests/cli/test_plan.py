@@ -88,6 +88,16 @@ def test_runs_of_another_text_of_the_plan_are_never_mixed(station, plan):
     assert ended.status == 2 and "another plan" in ended.one_line()
 
 
+@pytest.mark.parametrize("text", ["mine", '{"plan": "other.0123456789abcdef"}', "[]"])
+def test_a_table_that_is_not_this_plans_is_not_replaced(station, plan, text):
+    table = plan.parent / "out" / "results.json"
+    table.parent.mkdir()
+    table.write_text(text)
+    ended = go(station, plan)
+    assert ended.status == 2 and f"{table}: of another plan" in ended.one_line()
+    assert table.read_text() == text and list(table.parent.iterdir()) == [table]
+
+
 def test_an_arm_that_has_wandered_off_stops_the_plan(station, plan):
     plan.write_text("rest_within = 5\n" + PLAN)
     ended = go(station, plan)

@@ -71,7 +71,7 @@ def test_its_order_is_its_seeds_and_no_test_depends_on_it(read):
 def test_repeats_of_one_test_are_found_by_their_metadata(read):
     plan = read(PLAN)
     said = [plan.metadata(trial, home=7, place=i) for i, trial in enumerate(plan.trials, start=1)]
-    steps = [each for each in said if (each["plan"], each["test_index"]) == (f"day.{plan.key}", 1)]
+    steps = [each for each in said if (each["plan"], each["test_index"]) == (plan.identity, 1)]
     assert [each["test"] for each in steps] == [{"kind": "step", "amplitude": 50}] * 3
     assert {each["repeat"] for each in steps} == {1, 2, 3}
     assert all(each["home"] == 7 and each["seed"] == 5 for each in said)
