@@ -186,14 +186,14 @@ int32_t exchange_respond(exchange *x, int32_t row, int32_t encoder, int32_t acce
         return complaint;
     }
     x->command = step(x, x->reference[row + x->answer_ticks], encoder, accel);
+    if (x->command != x->command) {
+        return EXCHANGE_NO_NUMBER;
+    }
     complaint = drive(x, encoder, x->command);
     if (complaint != EXCHANGE_FINE) {
         return complaint;
     }
     const double up = x->command + 0.5;
-    if (up != up) {
-        return EXCHANGE_NO_NUMBER;
-    }
     const int32_t whole = (int32_t)up; /* the limit is an int16_t's */
     x->answer = whole - (up < whole ? 1 : 0);
     return EXCHANGE_FINE;

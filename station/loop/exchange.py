@@ -7,7 +7,6 @@ its own takes it from there to the log.  For plain serial ports and sockets on P
 
 from __future__ import annotations
 
-import math
 import os
 import signal
 import threading
@@ -150,7 +149,9 @@ class Exchange:
             raise self._guard.too_fast(row, x.moved)
         if complaint == lib.EXCHANGE_STALLED:
             raise self._guard.stalled(row, x.command)
-        return x.answer if complaint == lib.EXCHANGE_FINE else math.floor(x.command)  # ValueError: not a number
+        if complaint == lib.EXCHANGE_NO_NUMBER:
+            raise self._guard.no_number(row)
+        return x.answer
 
     def record(self, row: int, clock: int, encoder: int, accel: int, command: int, status: int, sent: float,
                received: float, written: float) -> None:

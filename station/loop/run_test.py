@@ -256,7 +256,8 @@ def _drive(client: Client, setup: Setup, compensator: Compensator, reference: np
     begun = time.perf_counter()
     failure: BaseException | None = None
     try:
-        with watched(session, None if progress is None else lambda row: progress(row, rows)), \
+        with np.errstate(over="ignore", invalid="ignore"), \
+                watched(session, None if progress is None else lambda row: progress(row, rows)), \
                 nullcontext() if exchange is None else exchange.serving(record, abort), \
                 undisturbed_thread(realtime, exchange is not None, client.port.is_terminal) as got:
             result.realtime = got

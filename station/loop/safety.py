@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from math import isfinite
 
 import numpy as np
 
@@ -78,7 +79,10 @@ class Guard:
         self._stood, self._still = start, 0
 
     def drive(self, row: int, encoder: int, command: float) -> None:
-        """WorkError where the command (counts) has been large for STALL_SECONDS and the encoder has not moved."""
+        """WorkError where the command (counts) is no number, or has been large for STALL_SECONDS and the encoder stood
+        still."""
+        if not isfinite(command):
+            raise self.no_number(row)
         if abs(command) < self.level or abs(encoder - self._stood) > 1:
             self._stood, self._still = encoder, 0
             return
@@ -94,6 +98,11 @@ class Guard:
             raise self.too_far(row, travel)
         if self.limits.speed and speed > self.limits.speed:
             raise self.too_fast(row, speed)
+
+    def no_number(self, row: int) -> WorkError:
+        """What is said of a controller whose states have grown without bound."""
+        return WorkError(f"{self._url}: the controller's command was no number at row {row}, and the test was stopped; "
+                         "its states grow without bound: see that its denominators are stable")
 
     def stalled(self, row: int, command: float) -> WorkError:
         """What is said of a motor that drives and moves nothing."""

@@ -84,6 +84,19 @@ def test_a_log_that_fails(rows, error):
         assert at_rest(port)
 
 
+def test_a_controller_that_overflows_is_told_with_its_row_and_the_motor_is_at_zero(rows, recwarn):
+    unstable = {"kind": "lead_accel", "gain": 1.0, "zero": 5.0, "pole": 50.0, "accel_numerator": [1.0, 0.0],
+                "accel_denominator": [1.0, -9.0]}
+    with open_port("sim://sflr") as port:
+        with pytest.raises(WorkError, match=rf"^sim://sflr: the controller's command was no number at row \d+, .*"
+                                            rf"{CONFIRMED}$") as told:
+            rows.test(port, unstable)
+        assert at_rest(port)
+    assert f"at row {len(rows.run) - 1}," in str(told.value)
+    assert rows.sinks[-1].metadata.model_extra["outcome"] == str(told.value)
+    assert not [warning for warning in recwarn if warning.category is RuntimeWarning]
+
+
 def test_a_log_that_cannot_be_made_arms_nothing(rows, monkeypatch):
     """Whatever ends the making of the log, the device is idle: it was never armed."""
     for error in (WorkError("no room"), KeyboardInterrupt()):
