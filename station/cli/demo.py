@@ -100,6 +100,8 @@ def demo(
 
 def _fresh(folder: Path) -> Path:
     """The folder, without what an earlier demo made; what else a person has put there stays."""
+    from station.runs.notes import set_notes_aside
+
     if folder.exists() and not folder.is_dir():
         raise WorkError(f"{folder}: is a file; name a folder with --out")
     if folder.is_dir() and any(folder.iterdir()):
@@ -107,6 +109,7 @@ def _fresh(folder: Path) -> Path:
             raise WorkError(f"{folder}: holds files that no demo made; name another folder with --out")
         for name in MADE:
             (folder / name).unlink(missing_ok=True)
+            set_notes_aside(folder / name)
     (folder / "runs").mkdir(parents=True, exist_ok=True)
     write_text(folder / MARK, "Made by `station demo`, which replaces what it made here when it runs again.\n",
                overwrite=True)

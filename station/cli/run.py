@@ -201,18 +201,23 @@ def single(port: str, rig: str, out: Path, asked: dict[str, Any], reference: np.
     if spec.get("kind") == "lead_accel" and model.accelerometer is None:
         raise UsageError(f"--controller: rig {model.name} has no accelerometer")
     metadata = {"test": asked, **({"tags": sorted(set(tags))} if tags else {}), **({"note": note_} if note_ else {})}
-    before = out.exists()
+    before = _written(out)
     sink = log_sink(out, overwrite, live_view(model) if view else None)
     with open_port(port, baud) as line:
         try:
             result = perform(line, model, spec, asked, sink, reference, metadata=metadata, force=force,
                              realtime=realtime, answer_ticks=answer_ticks)
         except (KeyboardInterrupt, StationError):
-            if out.exists() and (overwrite or not before):
+            if _written(out) not in (None, before):
                 note(f"the rows so far are in {out}")
             raise
     if not as_json(json, counted(result, out), overwrite):
         say(summary(result, out))
+
+
+def _written(path: Path) -> int | None:
+    """When a file was last written to (ns); None where there is none."""
+    return path.stat().st_mtime_ns if path.exists() else None
 
 
 def _command_for(kind: str) -> Callable[..., None]:

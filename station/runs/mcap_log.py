@@ -24,6 +24,7 @@ from station.runs.blueprint import blueprint_path, write_blueprint
 from station.runs.columns import LOG_COLUMNS, name_fault
 from station.runs.files import check_output, new_file, reason
 from station.runs.mcap_chunks import ChunkWriter, RowLayout, Stream
+from station.runs.notes import set_notes_aside
 from station.runs.run import Run, RunMetadata
 from station.runs.schema import (
     METADATA,
@@ -146,7 +147,8 @@ class McapLogWriter:
     WorkError, which ends the test; what waits is still written at ``close``.  A run in virtual time, whose device
     waits for the host, waits for the disk instead (``waits`` counts how often).  When the disk fails, the next
     ``append`` or ``close`` raises WorkError; what was written stays readable, and ``rows_written`` says how many rows
-    that are.  A log without any row is removed at ``close``.
+    that are.  A log without any row is removed at ``close``.  Where it is to replace another (``overwrite``), that one
+    waits beside it, as ``.old``, until there are rows; without any it is put back.
 
     ``columns`` names the values of a row; the default is LOG_COLUMNS (n, t, reference, command, encoder, accel,
     device_time, host_time, status, command_sent, latency, slack).  n and status are integers; command_sent,
@@ -172,20 +174,43 @@ class McapLogWriter:
         self._due = 0.0  # when the next row is to wake the thread
         self._closing = False
         self._wake, self._drained = threading.Event(), threading.Event()
+        self._old: Path | None = None
         try:
-            self._file = _Pieces(self.path, "wb" if overwrite else "xb")
+            if overwrite and self.path.exists():
+                self._old = self.path.replace(self.path.with_name(f"{self.path.name}.old"))
+            self._file = _Pieces(self.path, "xb")
         except OSError as error:
+            self._put_back()
             raise WorkError(f"{self.path}: cannot be written ({reason(error)})") from None
         try:
             self._encoder = _Encoder(self._file, metadata, self._columns)
             self._file.commit()
             self._file.sync()
-        except OSError as error:
+        except BaseException as error:  # Ctrl-C, too
             self._file.close()
-            self.path.unlink(missing_ok=True)
-            raise WorkError(f"{self.path}: cannot be written ({reason(error)})") from None
+            self._remove()
+            if isinstance(error, OSError):
+                raise WorkError(f"{self.path}: cannot be written ({reason(error)})") from None
+            raise
         self._thread = threading.Thread(target=self._work, name="station-log", daemon=True)
         self._thread.start()
+
+    def _remove(self) -> None:
+        """Take a log without rows away again."""
+        self.path.unlink(missing_ok=True)
+        self._put_back()
+
+    def _put_back(self) -> None:
+        if self._old is not None:
+            self._old.replace(self.path)
+
+    def _replace_old(self) -> None:
+        """The log has rows: the one that it replaces goes, and what had been noted on that one."""
+        old, self._old = self._old, None
+        if old is not None:
+            with contextlib.suppress(OSError):
+                old.unlink()
+            set_notes_aside(self.path)
 
     def append(self, row: Sequence[float]) -> None:
         """Take one row (a tuple in the order of ``columns``)."""
@@ -248,6 +273,7 @@ class McapLogWriter:
             self._file.commit()
             self.rows_written += len(rows)
             self._drained.set()
+            self._replace_old()
 
     def close(self, metadata: RunMetadata | None = None) -> None:
         """Write what is left, the closing records and the blueprint; ``metadata`` replaces the first one."""
@@ -270,11 +296,11 @@ class McapLogWriter:
                 self._file.close()
             except OSError as error:
                 self._failure = self._failure or error
+        if not self.rows_written:
+            self._remove()
         if self._failure is not None:
             raise self._failed()
-        if not self.rows_written:
-            self.path.unlink(missing_ok=True)
-        elif self._blueprint:
+        if self.rows_written and self._blueprint:
             _draw(self.path, self._columns, self._overwrite)
 
     def __enter__(self) -> McapLogWriter:

@@ -1,11 +1,12 @@
 """Notes and tags on a run, kept beside its file: a log that was written is never written again.
 
-``step.mcap`` has ``step.notes.json`` beside it.  Tags and a note given when the run was made stand in its metadata;
-``tags_of`` and ``notes_of`` give both.
+``step.mcap`` has ``step.notes.json`` beside it, which goes when another run takes its place.  Tags and a note given
+when the run was made stand in its metadata; ``tags_of`` and ``notes_of`` give both.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import time
@@ -23,6 +24,13 @@ MAX_TAG = 40
 def notes_path(run: str | os.PathLike[str]) -> Path:
     """The file of notes that goes with a run's file."""
     return Path(run).with_suffix(".notes.json")
+
+
+def set_notes_aside(run: str | os.PathLike[str]) -> None:
+    """Give the notes of a run that was replaced another name, ``.notes.json.old``: they are not the new one's."""
+    path = notes_path(run)
+    with contextlib.suppress(OSError):
+        os.replace(path, path.with_name(f"{path.name}.old"))
 
 
 def _read(run: Path) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from station.runs.files import check_input, check_output, reason
 from station.runs.lab_log import read_lab_log
 from station.runs.mcap_log import write_mcap
 from station.runs.mcap_read import read_mcap, scan_mcap
-from station.runs.notes import notes_of, tags_of
+from station.runs.notes import notes_of, set_notes_aside, tags_of
 from station.runs.rollover import rollover, rollover_fault
 from station.runs.run import READ_AS, Run, RunMetadata
 from station.runs.table import first_line
@@ -118,7 +118,16 @@ def export_run(run: Run, path: str | os.PathLike[str], overwrite: bool = False) 
     writer = WRITERS.get(path.suffix.lower())
     if writer is None:
         raise UsageError(f"{path}: no form has the ending {path.suffix!r}; use one of {', '.join(WRITERS)}")
+    replaced = path.exists()
     writer(run, path, overwrite)
+    if replaced:
+        _leave_notes(path)
+
+
+def _leave_notes(path: Path) -> None:
+    """The notes of a run that was replaced are not the new one's; those of a run in another form beside it stay."""
+    if not any(path.with_suffix(form).exists() for form in READERS if form != path.suffix.lower()):
+        set_notes_aside(path)
 
 
 def import_run(source: str | os.PathLike[str], out: str | os.PathLike[str], *, overwrite: bool = False,
@@ -198,7 +207,10 @@ def recover(path: str | os.PathLike[str], out: str | os.PathLike[str], overwrite
     metadata = contents.metadata
     if contents.cut_short:
         metadata = metadata.model_copy(update={"recovered": contents.cut_short})
+    replaced = out.exists()
     write_mcap(Run.from_columns(str(path), out.stem, contents.columns, metadata), out, overwrite)
+    if replaced:
+        _leave_notes(out)
     return Recovery(len(contents.columns["t"]), contents.cut_short)
 
 

@@ -31,6 +31,28 @@ def test_each_kind_of_test_is_a_command_with_its_own_defaults():
     assert "rate" not in WORDS and inspect.isfunction(references.step)
 
 
+def test_a_refused_test_leaves_the_log_that_it_was_to_replace(station, tmp_path, monkeypatch):
+    from station.errors import WorkError
+    from station.loop.engine import Setup
+
+    out, arm, armed = tmp_path / "run.mcap", Setup.arm, []
+    asked = ["run", "step", "--port", "sim://sflr", "--rig", "sflr", "--duration", "0.5", "--out", out, "--overwrite"]
+    assert station(*asked).status == 0
+    before = out.read_bytes()
+
+    def refuses(self, client):
+        armed.append(self)
+        if len(armed) == 2:  # the first is that in which the rest is measured
+            raise WorkError("the device refuses arm: its e-stop is open")
+        arm(self, client)
+
+    monkeypatch.setattr(Setup, "arm", refuses)
+    ended = station(*asked)
+    assert ended.status == 1 and "its e-stop is open" in ended.one_line()
+    assert out.read_bytes() == before
+    assert {path.name for path in tmp_path.iterdir()} == {"run.mcap", "run.rbl"}
+
+
 @pytest.mark.parametrize(("kind", "options"), [
     ("step", ["--controller", "lead"]), ("step", ["--controller", "lead-accel", "--amplitude", "200"]),
     ("pulse", ["--width", "0.05"]), ("sweep", ["--duration", "4", "--f1", "10", "--gain", "1"]),

@@ -21,8 +21,9 @@ from station.errors import WorkError
 from station.loop.run_test import run_test
 from station.loop.sink import MemorySink
 from station.rig import load_rig
-from station.runs import McapLogWriter, load_run, mcap_log
+from station.runs import McapLogWriter, annotate, export_run, load_run, mcap_log
 from station.runs.mcap_read import scan_mcap
+from station.runs.notes import tags_of
 from station.runs.run import RunMetadata
 from tests.runs.examples import METADATA, assert_same, full_run
 
@@ -299,3 +300,57 @@ def test_a_file_where_the_blueprint_would_be_is_replaced_where_that_was_asked_al
     with McapLogWriter(tmp_path / "a.mcap", METADATA, overwrite=overwrite) as log:
         log.append(row(0))
     assert ((tmp_path / "a.rbl").read_bytes() == b"mine") is not overwrite
+
+
+def other_log(path, rows=7):
+    with McapLogWriter(path, METADATA, blueprint=False) as log:
+        for index in range(rows):
+            log.append(row(index))
+    annotate(path, tags=["old"])
+    return path.read_bytes()
+
+
+def test_a_log_that_is_to_be_replaced_stays_until_the_new_one_has_rows(tmp_path):
+    path = tmp_path / "a.mcap"
+    before = other_log(path)
+    log = McapLogWriter(path, METADATA, overwrite=True, blueprint=False)
+    assert (tmp_path / "a.mcap.old").read_bytes() == before
+    log.close()
+    assert path.read_bytes() == before and tags_of(path, METADATA) == ["old"]
+    assert {found.name for found in tmp_path.iterdir()} == {"a.mcap", "a.notes.json"}
+    with McapLogWriter(path, METADATA, overwrite=True, blueprint=False) as log:
+        log.append(row(0))
+        _until(lambda: log.rows_written == 1)
+        _until(lambda: not (tmp_path / "a.mcap.old").exists())
+        assert len(scan_mcap(path).columns["t"]) == 1  # should the host die now
+        log.append(row(1))
+    assert len(load_run(path)) == 2
+
+
+def test_the_notes_of_a_replaced_run_are_not_the_new_ones(tmp_path):
+    path, notes = tmp_path / "a.mcap", tmp_path / "a.notes.json"
+    other_log(path)
+    said = notes.read_bytes()
+    with McapLogWriter(path, METADATA, overwrite=True, blueprint=False) as log:
+        log.append(row(0))
+        log.append(row(1))
+    assert tags_of(path, METADATA) == [] and (tmp_path / "a.notes.json.old").read_bytes() == said
+    annotate(path, tags=["of the new one"])
+    export_run(full_run(100), path, overwrite=True)
+    assert tags_of(path, METADATA) == []
+    annotate(path, tags=["of both"])
+    for form in ("csv", "csv", "mcap"):  # one run in two forms, written again
+        export_run(load_run(path), tmp_path / f"a.{form}", overwrite=True)
+    assert tags_of(path, METADATA) == ["of both"]
+
+
+def test_a_log_whose_head_finds_no_room_leaves_the_one_that_it_was_to_replace(tmp_path, monkeypatch):
+    path = tmp_path / "a.mcap"
+    before = other_log(path)
+    for error, raised in ((OSError(errno.ENOSPC, "No space left on device"), WorkError),
+                          (KeyboardInterrupt(), KeyboardInterrupt)):
+        with monkeypatch.context() as patch:
+            patch.setattr(mcap_log._Pieces, "sync", lambda self, error=error: (_ for _ in ()).throw(error))
+            with pytest.raises(raised):
+                McapLogWriter(path, METADATA, overwrite=True)
+        assert path.read_bytes() == before and not (tmp_path / "a.mcap.old").exists()
