@@ -11,12 +11,14 @@ from __future__ import annotations
 import copy
 import math
 import platform
+import signal
 import threading
 import time
-from collections.abc import Callable, Mapping
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
+from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -49,6 +51,8 @@ from station.runs.run import RunMetadata
 REST_SECONDS = 0.25
 """So long the accelerometer's zero is measured, motor off, before a test."""
 SETTLE_SECONDS = 20.0
+HANGS = 3.0
+"""Seconds after which Ctrl-C no longer waits for a log to be closed."""
 
 
 @dataclass(frozen=True)
@@ -198,14 +202,51 @@ def run_test(port: Port, rig: Rig, compensator: Compensator, reference: np.ndarr
     setup = Setup(identity, rig.sample_rate, limit, answer_ticks, DeviceLimits.of_rig(rig))
     if abort is not None and abort.is_set():
         raise KeyboardInterrupt
-    sink = log_sink(completed)
-    try:
-        result = LoopResult(identity, completed, rest, Counts(), sample_path=path,
-                            clipped=clipped_rows(reference, limit, compensator.open_loop))
-        _drive(client, setup, compensator, reference, sink, result, progress, abort, realtime)
-    finally:
-        sink.close()
+    with _ctrl_c() as ending:
+        sink = log_sink(completed)
+        try:
+            result = LoopResult(identity, completed, rest, Counts(), sample_path=path,
+                                clipped=clipped_rows(reference, limit, compensator.open_loop))
+            _drive(client, setup, compensator, reference, sink, result, progress, abort, realtime, ending)
+        finally:
+            ending.begun = True
+            sink.close()
     return result
+
+
+@dataclass
+class _Ending:
+    """Whether a test has begun to end, and when Ctrl-C came first since then (monotonic s, 0: not yet)."""
+
+    begun: bool = False
+    late: float = 0.0
+
+
+@contextmanager
+def _ctrl_c() -> Iterator[_Ending]:
+    """Ctrl-C as ever; but once the test has begun to end it waits until the log is closed, lest that be left half done.
+
+    Should the end hang, one that comes HANGS seconds after the first is raised where it comes.
+    """
+    ending, before = _Ending(), signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield ending
+        return
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        if ending.begun:
+            ending.late = ending.late or time.monotonic()
+            if time.monotonic() - ending.late < HANGS:
+                return
+        before(number, frame)
+
+    signal.signal(signal.SIGINT, handle)
+    try:
+        yield ending
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if ending.late:
+        before(signal.SIGINT, None)
 
 
 def _outcome(error: BaseException | None) -> str:
@@ -217,7 +258,7 @@ def _outcome(error: BaseException | None) -> str:
 
 def _drive(client: Client, setup: Setup, compensator: Compensator, reference: np.ndarray, sink: LogSink,
            result: LoopResult, progress: Callable[[int, int], None] | None, abort: threading.Event | None,
-           realtime: bool) -> None:
+           realtime: bool, ending: _Ending) -> None:
     rows, rate, answer_ticks = len(reference), setup.rate, setup.answer_ticks
     period = answer_ticks / rate
     wanted = [*reference.tolist(), *[0.0] * answer_ticks]
@@ -266,6 +307,7 @@ def _drive(client: Client, setup: Setup, compensator: Compensator, reference: np
         failure = error
         raise
     finally:
+        ending.begun = True
         result.counts, result.seconds = session.counts, time.perf_counter() - begun
         seen = latencies[latencies > 0.0]
         result.latency, result.histogram = Spread.of(seen), Histogram.of(seen)

@@ -19,6 +19,7 @@ from station.device.server import DeviceProcess
 from station.errors import WorkError
 from station.loop.engine import CONFIRMED, UNCONFIRMED
 from station.loop.run_test import identify_clear
+from station.loop.sink import MemorySink
 
 ROW = 200  # well into the step: the motor is driven
 
@@ -95,6 +96,47 @@ def test_a_controller_that_overflows_is_told_with_its_row_and_the_motor_is_at_ze
     assert f"at row {len(rows.run) - 1}," in str(told.value)
     assert rows.sinks[-1].metadata.model_extra["outcome"] == str(told.value)
     assert not [warning for warning in recwarn if warning.category is RuntimeWarning]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+@pytest.mark.parametrize(("error", "outcome"), [(None, "complete"), (KeyboardInterrupt(), "interrupted"),
+                                                (WorkError("no room"), f"no room; {CONFIRMED}")])
+def test_ctrl_c_while_a_test_ends_waits_for_its_log_to_be_closed(rows, error, outcome):
+    """Pressed twice or more, as people do: the outcome says why all the same."""
+    before = signal.getsignal(signal.SIGINT)
+
+    class Pressed(MemorySink):
+        def update(self, metadata):
+            signal.raise_signal(signal.SIGINT)
+            super().update(metadata)
+
+        def close(self):
+            signal.raise_signal(signal.SIGINT)
+            super().close()
+
+    def sink(metadata):
+        rows.sinks.append(Pressed(metadata))
+        return rows.sinks[-1]
+
+    with open_port("sim://sflr") as port:
+        with pytest.raises(KeyboardInterrupt if error is None else type(error)):
+            rows.test(port, log_sink=sink, compensator=error and ending(rows, error))
+        assert at_rest(port)
+    assert rows.sinks[-1].closed and rows.sinks[-1].metadata.model_extra["outcome"] == outcome
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
+def test_ctrl_c_gets_through_where_a_log_hangs(rows, monkeypatch):
+    monkeypatch.setattr("station.loop.run_test.HANGS", 0.0)
+
+    class Hangs(MemorySink):
+        def close(self):
+            signal.raise_signal(signal.SIGINT)
+            pytest.fail("it waited on")
+
+    with open_port("sim://sflr") as port, pytest.raises(KeyboardInterrupt):
+        rows.test(port, log_sink=Hangs)
 
 
 def test_a_log_that_cannot_be_made_arms_nothing(rows, monkeypatch):
