@@ -252,19 +252,40 @@ class Rig(_Table):
         return found
 
     def with_constants(self, values: dict[str, float]) -> Rig:
-        """A copy with some constants replaced ("table.key": value)."""
+        """A copy with some constants replaced ("table.key": value).
+
+        UsageError names the key where this rig has no such constant, or a rig file could not have the value.
+        """
         tables: dict[str, dict[str, float]] = {}
+        unusual = False
         for path, value in values.items():
-            table, key = path.split(".")
-            tables.setdefault(table, {})[key] = float(value)
+            place = _PLACES.get(path)
+            if place is None:
+                raise UsageError(self._unknown(path))
+            table, key = place
+            try:
+                tables.setdefault(table, {})[key] = number = float(value)
+            except (TypeError, ValueError):
+                raise UsageError(f"{path}: a number is wanted, not {value!r}") from None
+            unusual = unusual or not 0.0 < number < math.inf  # every key may have such a number
         parts = {}
         for table, changed in tables.items():
             part = getattr(self, table)
+            if part is None:
+                raise UsageError(self._unknown(f"{table}.{min(changed)}"))
+            if unusual:
+                _require(table, part, changed)
             parts[table] = part.model_copy(update=changed)
         return self._copy(parts)
 
+    def _unknown(self, path: object) -> str:
+        return f"{path}: rig {self.name} has no such constant; it has {', '.join(self.constants())}"
+
     def with_effects(self, effects: tuple[Effect, ...] | list[Effect]) -> Rig:
-        """A copy with other effects."""
+        """A copy with other effects; UsageError where one is none."""
+        for effect in effects:
+            if not isinstance(effect, Effect):
+                raise UsageError(f"effects: {effect!r:.100} is no effect")
         return self._copy({"effects": tuple(effects)})
 
     def with_elements(self, least: int) -> Rig:
@@ -349,6 +370,22 @@ class Rig(_Table):
         """The rig file's text; reading it gives the same rig, and [[effects]] may be added at its end."""
         tables = self.model_dump(exclude_none=True, exclude_defaults=False)
         return tomli_w.dumps({key: value for key, value in tables.items() if key != "effects" or value})
+
+
+_TABLES: dict[str, type[_Table]] = {
+    "amplifier": Amplifier, "motor": Motor, "drive": Joint, "base": Base, "clamp": Joint, "beam": Beam,
+    "tip": Tip, "encoder": Encoder, "accelerometer": Accelerometer}
+_PLACES = {f"{table}.{key}": (table, key) for table, part in _TABLES.items() for key in part.model_fields
+           if f"{table}.{key}" not in ("beam.elements", "beam.mesh")}
+"""The numbers of a rig's parts that ``with_constants`` replaces, as table and key."""
+
+
+def _require(table: str, part: _Table, changed: dict[str, float]) -> None:
+    """UsageError where a table could not have these values."""
+    try:
+        type(part).model_validate(vars(part) | changed)
+    except ValidationError as error:
+        raise UsageError(problems(error, f"{table}.")) from None
 
 
 def problems(error: ValidationError, table: str = "") -> str:

@@ -90,3 +90,27 @@ def test_whole_numbers_and_what_json_says_of_a_rig_are_taken():
 def test_all_keys_that_are_wrong_are_named_as_far_as_a_line_goes(text, words):
     with pytest.raises(UsageError, match=f"mine.toml: {words}"):
         Rig.from_toml(text, "mine.toml")
+
+
+@pytest.mark.parametrize(("values", "words"), [
+    ({"tip.mas": 0.1}, "^tip.mas: rig sflr has no such constant; it has motor.inertia, "),
+    ({"tip": 1}, "^tip: rig sflr has no such constant"), ({"beam.elements": 4.0}, "^beam.elements: "),
+    ({"tip.mass": -1.0}, "^tip.mass: .*greater than or equal to 0, not -1.0"),
+    ({"tip.mass": float("nan")}, "^tip.mass: .*not nan"), ({"motor.inertia": float("inf")}, "^motor.inertia: "),
+    ({"motor.gain": 0.0}, "^motor.gain: a motor without gain cannot be driven"),
+    ({"tip.mass": "heavy"}, "^tip.mass: a number is wanted, not 'heavy'")])
+def test_a_constant_that_a_rig_file_could_not_have_is_refused_with_its_key(values, words):
+    with pytest.raises(UsageError, match=words):
+        RIGS["sflr"].with_constants(values)
+
+
+def test_constants_of_a_part_that_is_left_out_and_what_is_no_effect_are_refused():
+    with pytest.raises(UsageError, match="^tip.mass: rig .* has no such constant; it has motor.inertia"):
+        RIGS["axis"].with_constants({"tip.mass": 0.1})
+    with pytest.raises(UsageError, match="^effects: 1 is no effect"):
+        RIGS["sflr"].with_effects([1])
+
+
+def test_constants_of_either_sign_and_none_at_all_are_taken_where_a_rig_file_takes_them():
+    rig = RIGS["sflr"].with_constants({"motor.gain": -0.01, "drive.damping": 0.0, "tip.mass": 0.1})
+    assert (rig.motor.gain, rig.drive.damping, rig.tip.mass) == (-0.01, 0.0, 0.1)
