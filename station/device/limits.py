@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 from station.device.protocol import LIMITS
+from station.errors import UsageError
 from station.rig import Rig
 
 SPEED_TICKS = LIMITS["speed_ticks"]
@@ -30,14 +31,19 @@ class DeviceLimits:
         """``limits.travel`` and ``limits.speed`` of a rig, in counts.
 
         Travel is rounded down (but 1 count at least).  Speed is rounded up: a reading in whole counts may differ by
-        nearly one count more than the arm has moved, and an arm below the limit must not trip it.
+        nearly one count more than the arm has moved, and an arm below the limit must not trip it.  UsageError where it
+        is more than the protocol has room for.
         """
         limits = rig.limits
         travel = speed = 0
         if limits is not None and limits.travel is not None:
             travel = min(max(math.floor(limits.travel / rig.angle_per_count), 1), _UINT32)
         if limits is not None and limits.speed is not None:
-            speed = min(math.ceil(limits.speed * SPEED_TICKS * rig.period / rig.angle_per_count), _UINT16)
+            speed = math.ceil(limits.speed * SPEED_TICKS * rig.period / rig.angle_per_count)
+            if speed > _UINT16:
+                raise UsageError(f"limits.speed: {limits.speed:g} rad/s of rig {rig.name} are {speed} counts in "
+                                 f"{SPEED_TICKS} ticks, and a device holds {_UINT16}; take less than "
+                                 f"{limits.speed * _UINT16 / speed:.3g} rad/s, or leave it out")
         return cls(travel, speed)
 
     def within(self, own: DeviceLimits) -> DeviceLimits:

@@ -2,12 +2,18 @@
 
 import math
 
+import numpy as np
+import pytest
+
+from station.control.compensators import Compensator
 from station.device.client import Client
 from station.device.framing import encode
 from station.device.limits import SPEED_TICKS, DeviceLimits
 from station.device.port import open_port
 from station.device.protocol import MESSAGES, Fault
-from station.rig import Limits, load_rig
+from station.errors import UsageError
+from station.loop.run_test import run_test
+from station.rig import Encoder, Limits, load_rig
 
 SAMPLE, COMMAND, FAULT = MESSAGES["sample"], MESSAGES["command"], MESSAGES["fault"]
 RIG = load_rig("sflr")
@@ -24,6 +30,22 @@ def test_limits_in_counts_are_those_of_the_encoder_and_the_sample_rate():
     # 10 rad/s are 10 * 1024 / 2 pi / 500 = 3.26 counts a tick
     assert DeviceLimits.of_rig(of(speed=10.0)).speed == math.ceil(3.2595 * SPEED_TICKS)
     assert of(command=150.0).command_limit == 150.0
+
+
+def test_a_speed_beyond_what_a_device_holds_is_refused_before_anything_moves(tmp_path):
+    fine = RIG.model_copy(update={"encoder": Encoder(counts_per_revolution=2.0**24), "limits": Limits(speed=1.5)})
+    assert DeviceLimits.of_rig(fine).speed == 64085
+    fast = fine.model_copy(update={"limits": Limits(speed=40.0)})
+    words = r"^limits.speed: 40 rad/s .* \d+ counts .* a device holds 65535; take less than 1.53 rad/s, or leave it out$"
+    with pytest.raises(UsageError, match=words):
+        DeviceLimits.of_rig(fast)
+    with open_port("sim://sflr") as port, pytest.raises(UsageError, match=words):
+        run_test(port, fast, Compensator.from_spec({"kind": "open"}, 500.0, 200.0), np.zeros(200),
+                 log_sink=lambda metadata: pytest.fail("a log was made"))
+    path = tmp_path / "fast.toml"
+    path.write_text(fast.to_toml(), encoding="utf-8")
+    with pytest.raises(UsageError, match=words):
+        open_port(f"sim://x?rig={path}")
 
 
 def test_of_two_limits_the_tighter_holds():
