@@ -146,7 +146,7 @@ def import_run(source: str | os.PathLike[str], out: str | os.PathLike[str], *, o
         row = int(np.argmax(far))
         raise WorkError(f"{source}: column encoder, {_place(Path(source), row)}: {run.encoder[row]:g} counts; no arm "
                         "turns so far")
-    rolled = rollover(run.encoder)
+    rolled = rollover(run.encoder, _turn(run.metadata.rig if rig is None else rig))
     if rolled:
         raise WorkError(f"{source}: {rollover_fault(run.encoder, rolled, _place(Path(source), rolled[0]))}")
     entries = run.metadata.entries() | {key: value for key, value in known.items() if value is not None}
@@ -154,6 +154,13 @@ def import_run(source: str | os.PathLike[str], out: str | os.PathLike[str], *, o
                                 RunMetadata.from_entries(str(source), entries))
     export_run(imported, out, overwrite)
     return imported
+
+
+def _turn(rig: Any) -> float | None:
+    """Counts per revolution of a rig's tables; None where they do not say."""
+    encoder = rig.get("encoder") if isinstance(rig, dict) else None
+    turn = encoder.get("counts_per_revolution") if isinstance(encoder, dict) else None
+    return float(turn) if isinstance(turn, int | float) else None
 
 
 def _place(path: Path, row: int) -> str:

@@ -6,9 +6,9 @@ import pytest
 from station.diagnose.compare import compare
 from station.errors import WorkError
 from station.rig import Rig
-from station.runs import import_run
+from station.runs import export_run, import_run
 from station.runs.rollover import rollover, rollover_fault
-from station.runs.run import Run
+from station.runs.run import Run, RunMetadata
 
 T = np.arange(1500) / 500.0
 RIG = Rig.from_toml("""name = "axis"
@@ -78,4 +78,15 @@ def test_an_import_names_the_line_and_writes_nothing(tmp_path):
     line = int(np.argmax(np.abs(np.diff(wrapped)) > 30000)) + 3
     with pytest.raises(WorkError, match=rf"a.csv: column encoder, line {line}: .* a counter of 65536 that rolls over"):
         import_run(tmp_path / "a.csv", tmp_path / "b.mcap")
+    assert not (tmp_path / "b.mcap").exists()
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_counter_of_one_turn_is_refused_by_the_import_that_knows_the_rig(tmp_path, named):
+    wrapped = np.mod(motion(2000.0), 3000)
+    tables = RIG.model_dump(exclude_none=True)
+    run = Run("turned", T, 0.0 * T, 0.0 * T, wrapped, metadata=RunMetadata(**({} if named else {"rig": tables})))
+    export_run(run, tmp_path / "a.csv")
+    with pytest.raises(WorkError, match=r"a.csv: column encoder, line \d+: .* a counter of 3000 that rolls over"):
+        import_run(tmp_path / "a.csv", tmp_path / "b.mcap", **({"rig": tables} if named else {}))
     assert not (tmp_path / "b.mcap").exists()
