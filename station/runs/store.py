@@ -7,7 +7,7 @@ import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime, timedelta
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -269,7 +269,7 @@ class RunSummary:
 
 @dataclass(frozen=True)
 class RunFilter:
-    """Which runs are wanted; None: whichever.  ``since`` and ``until``: ISO dates, both inclusive."""
+    """Which runs are wanted; None: whichever.  ``since`` and ``until``: ISO dates or times (UTC), both inclusive."""
 
     rig: str | None = None
     kind: str | None = None
@@ -284,7 +284,7 @@ class RunFilter:
             value = getattr(self, name)
             try:
                 if value is not None:
-                    datetime.fromisoformat(value)
+                    _moment(value)
             except ValueError:
                 raise UsageError(f"--{name} {value}: a date such as 2026-03-31 is wanted") from None
 
@@ -298,14 +298,33 @@ class RunFilter:
         if run.metadata is None:
             return self.wants_all
         plan = str(run.metadata.entries().get("plan") or "")
-        began = run.began
         return (self.rig in (None, run.rig)
                 and self.kind in (None, run.metadata.test.get("kind"))
                 and self.controller in (None, run.metadata.controller.get("kind"))
                 and self.tag in (None, *run.tags)
                 and self.plan in (None, plan, plan.rpartition(".")[0])
-                and (self.since is None or began[:len(self.since)] >= self.since)
-                and (self.until is None or "" < began[:len(self.until)] <= self.until))
+                and (self.since is self.until is None or self._within(run.began)))
+
+    def _within(self, began: str) -> bool:
+        """Whether a run that began then lies between the dates; one that does not say when it began does not."""
+        try:
+            moment = _moment(began)
+        except ValueError:
+            return False
+        if self.since is not None and moment < _moment(self.since):
+            return False
+        if self.until is None:
+            return True
+        whole_day = timedelta(days=1) if len(self.until) <= len("2026-03-31") else timedelta(seconds=1)
+        return moment < _moment(self.until) + whole_day
+
+
+def _moment(text: str) -> datetime:
+    """A date or time, UTC where it does not say; ValueError where it is none, or a week's."""
+    if "W" in text:
+        raise ValueError(text)
+    found = datetime.fromisoformat(text)
+    return found if found.tzinfo is not None else found.replace(tzinfo=UTC)
 
 
 def list_runs(folder: str | os.PathLike[str]) -> list[RunSummary]:

@@ -38,16 +38,27 @@ def folder(tmp_path):
     ({"controller": "unknown"}, {"b"}), ({"tag": "good"}, {"a"}), ({"plan": "day"}, {"a"}),
     ({"plan": "day.0123"}, {"a"}),
     ({"since": "2026-03-31"}, {"b", "c"}), ({"until": "2026-03-31"}, {"a", "b"}),
-    ({"since": "2026-03-31", "until": "2026-03-31"}, {"b"}), ({"rig": "sflr", "kind": "step"}, {"a"}),
+    ({"since": "2026-03-31", "until": "2026-03-31"}, {"b"}), ({"since": "20260331"}, {"b", "c"}),
+    ({"until": "20260331"}, {"a", "b"}), ({"since": "2026-03-31T23:59"}, {"b", "c"}),
+    ({"until": "2026-03-31T23:59:00+02:00"}, {"a"}), ({"until": "2026-03-31T23:59:00Z"}, {"a", "b"}),
+    ({"rig": "sflr", "kind": "step"}, {"a"}),
     ({"tag": "bad"}, set())])
 def test_a_folder_is_filtered(folder, asked, names):
     wanted = RunFilter(**asked)
     assert {run.name for run in list_runs(folder) if wanted.takes(run)} == names
 
 
-def test_a_date_that_is_none_is_refused():
-    with pytest.raises(UsageError, match="--since yesterday: a date such as"):
-        RunFilter(since="yesterday")
+@pytest.mark.parametrize("date", ["yesterday", "2026-W40", "2026-13-01", ""])
+def test_a_date_that_is_none_is_refused(date):
+    with pytest.raises(UsageError, match=f"--since {date}: a date such as"):
+        RunFilter(since=date)
+
+
+def test_a_run_that_does_not_say_when_it_began_is_in_no_span_of_time(tmp_path):
+    export_run(made(), tmp_path / "a.mcap")
+    export_run(made(began="yesterday"), tmp_path / "b.mcap")
+    for asked in ({"since": "2000-01-01"}, {"until": "2100-01-01"}):
+        assert not [run.name for run in list_runs(tmp_path) if RunFilter(**asked).takes(run)]
 
 
 def test_a_run_that_ended_early_says_so_in_the_list(folder):
