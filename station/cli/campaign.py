@@ -22,7 +22,8 @@ SUMMARY, REPORT = "summary.json", "report.html"
 @command(app, "campaign", PANEL, "station campaign plan.toml --out campaign")
 def campaign(
     plan: Annotated[Path, typer.Argument(metavar="PLAN", help=(
-        "Plan file (TOML): [blind] draws simulated rigs with hidden effects, [[logs]] names rigs and run files."))],
+        "Plan file (TOML): its table blind draws simulated rigs with hidden effects, its tables logs name rigs and run "
+        "files."))],
     out: Annotated[Path, typer.Option("--out", metavar="FOLDER", help=(
         "Folder for the cases, summary.json and report.html; what it holds already is not done again."))],
     workers: Annotated[int | None, typer.Option("--workers", min=1, max=1024, metavar="N", help=(

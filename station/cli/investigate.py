@@ -35,7 +35,7 @@ def investigate(
         "shows most of the catalogue."))] = None,
     effort: Annotated[Literal["quick", "full"], typer.Option("--effort", help="As in station diagnose.")] = "full",
     cap: Annotated[float | None, typer.Option("--cap", min=1.0, metavar="COUNTS", help=(
-        "Largest amplitude of any test, besides what the rig's [limits] allow."))] = None,
+        "Largest amplitude of any test, besides what the rig's limits allow."))] = None,
     force: Force = False, baud: Baud = None, answer_ticks: AnswerTicks = 1, json: Json = None,
     overwrite: Overwrite = False,
 ) -> None:

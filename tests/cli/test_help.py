@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from rich.text import Text
 from typer.testing import CliRunner
 
 from station.cli import THREADS
@@ -48,6 +49,15 @@ def test_help_says_what_it_does_and_shows_an_example(station, name):
 def test_every_option_is_explained(name):
     for parameter in COMMANDS[name].params:
         assert getattr(parameter, "help", None), f"{name}: {parameter.name}"
+
+
+@pytest.mark.parametrize("name", ["", *COMMANDS])
+def test_no_word_of_a_help_is_taken_for_a_mark(name):
+    """What stands in square brackets is taken by the help's own markup, and is not shown."""
+    command = COMMANDS[name] if name else typer.main.get_command(build())
+    for text in (command.help, command.epilog, *(getattr(parameter, "help", None) for parameter in command.params),
+                 *(parameter.metavar for parameter in command.params)):
+        assert Text.from_markup(text or "").plain == (text or "")
 
 
 @pytest.mark.parametrize(("typed", "offered"), [
