@@ -192,8 +192,10 @@ def single(port: str, rig: str, out: Path, asked: dict[str, Any], reference: np.
     from station.cli.controllers import controller_spec
     from station.device.port import open_port
     from station.rig import load_rig
+    from station.runs.notes import require_tags
 
     need_log(out)
+    require_tags(tags or [])
     need_outputs(out, json, overwrite=overwrite, inputs=[rig])
     model = load_rig(rig)
     spec = controller_spec(controller or ("open" if asked["kind"] in OPEN else "p"), model.sample_rate, gain=gain,

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from types import TracebackType
+from urllib.parse import urlsplit
 
 import serial
 from serial.serialutil import SerialBase, SerialException
@@ -123,8 +124,17 @@ def _words(error: BaseException) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
+def _lacks_port_number(url: str) -> bool:
+    try:
+        return url.lower().startswith(("socket://", "rfc2217://")) and urlsplit(url).port is None
+    except ValueError:  # what stands there is no number, or too large
+        return True
+
+
 def _complaint(url: str, error: Exception) -> StationError:
     """What pyserial or the system said, as one line with what to do."""
+    if _lacks_port_number(url):
+        return UsageError(f"{url}: a port number from 0 to 65535 is missing; write {url.partition(':')[0]}://HOST:PORT")
     text = _words(error)
     code = getattr(error, "errno", None)
     if code in (errno.ENOENT, errno.ENXIO, errno.ENODEV) or "FileNotFoundError" in text:

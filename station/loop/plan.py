@@ -45,6 +45,7 @@ from station.errors import UsageError, WorkError
 from station.loop.safety import require_rest, require_within_limits
 from station.rig import Limits, Rig, problems
 from station.runs import load_run
+from station.runs.notes import require_tags
 from station.runs.run import Run
 
 MAX_FILE_BYTES = 1 << 20
@@ -226,6 +227,7 @@ def _trials(index: int, test: _Test, plan: _Plan, rig: Rig, folder: Path, contro
     require_within_limits(rig, reference, compensator.open_loop)
     name = re.sub(r"[^A-Za-z0-9_.+-]", "-", test.name or _name(asked, spec)).lstrip(".")
     tags = tuple(sorted({*plan.tags, *test.tags}))
+    require_tags(tags, "tags:")
     return [Trial(index, repeat, name or "test", asked, spec, reference, tags)
             for repeat in range(1, (test.repeats or plan.repeats) + 1)]
 

@@ -10,6 +10,7 @@ import contextlib
 import json
 import os
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -51,13 +52,18 @@ def _read(run: Path) -> dict[str, Any]:
     return {"tags": tags, "notes": notes}
 
 
+def require_tags(tags: Iterable[str], name: str = "--tag") -> None:
+    """UsageError where a tag is none; ``name``: of the option or key that it stands behind."""
+    for tag in tags:
+        if not tag or len(tag) > MAX_TAG or not tag.isprintable() or "," in tag:
+            raise UsageError(f"{name} {tag!r}: 1 to {MAX_TAG} letters without a comma are wanted")
+
+
 def annotate(run: str | os.PathLike[str], *, tags: list[str] | None = None, without: list[str] | None = None,
              note: str | None = None) -> None:
     """Add tags and a note to a run, take tags away.  UsageError for a tag that is none, WorkError for files."""
     path = check_input(run)
-    for tag in tags or []:
-        if not tag or len(tag) > MAX_TAG or not tag.isprintable() or "," in tag:
-            raise UsageError(f"--tag {tag!r}: 1 to {MAX_TAG} letters without a comma are wanted")
+    require_tags(tags or [])
     known = _read(path)
     known["tags"] = sorted({*known["tags"], *(tags or [])} - set(without or []))
     if note:

@@ -31,6 +31,14 @@ def test_each_kind_of_test_is_a_command_with_its_own_defaults():
     assert "rate" not in WORDS and inspect.isfunction(references.step)
 
 
+@pytest.mark.parametrize("tag", ["", "a,b", "x" * 41])
+def test_a_tag_that_no_note_takes_is_refused_before_the_test(station, tmp_path, tag):
+    ended = station("run", "step", "--port", "sim://sflr", "--rig", "sflr", "--out", tmp_path / "run.mcap",
+                    "--tag", "good", "--tag", tag)
+    assert ended.status == 2 and f"--tag {tag!r}: 1 to 40 letters" in ended.one_line()
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_refused_test_leaves_the_log_that_it_was_to_replace(station, tmp_path, monkeypatch):
     from station.errors import WorkError
     from station.loop.engine import Setup

@@ -39,7 +39,9 @@ def complaint(url):
     ("replay://", 2, "which run"),
     ("replay://no-such-run.mcap", 1, "no-such-run.mcap"),
     ("socket://127.0.0.1:1", 1, "nobody listens"),
-    ("socket://", 1, "cannot be opened"),
+    ("socket://", 2, "a port number from 0 to 65535 is missing; write socket://HOST:PORT"),
+    ("socket://127.0.0.1", 2, "a port number"), ("socket://127.0.0.1:99999", 2, "a port number"),
+    ("socket://127.0.0.1:x", 2, "a port number"), ("rfc2217://127.0.0.1", 2, "write rfc2217://HOST:PORT"),
 ])
 def test_what_cannot_be_opened_is_told_in_one_line(url, status, words):
     error = complaint(url)

@@ -87,6 +87,7 @@ def test_repeats_of_one_test_are_found_by_their_metadata(read):
     (("gain = 1.0", "gian = 1.0"), r"test 3: controller.gian: unknown key for kind 'p'; controller.gain: missing"),
     (("repeats = 3", 'repeats = "3"'), r"plan.toml: repeats: .*integer without quotes, not '3'"),
     (("seed = 5", "seed = 5\nsettle = true"), r"plan.toml: settle: .*number, not True"),
+    (("seed = 5", 'seed = 5\ntags = ["a", "b,c"]'), r"plan.toml: test 1: tags: 'b,c': 1 to 40 letters"),
     (("seed = 5", 'seed = 5\ntags = ["a", 1]'), r"plan.toml: tags.1: .*string, not 1"),
     (("gain = 1.0", 'gain = "1.0"'), r"plan.toml: test 3: controller.gain: a number or a list .* not '1.0'"),
     (('kind = "pulse"', 'kind = "recorded"\nfile = "none.mcap"'), r"test 2: test.file: .*none.mcap: no such file"),
