@@ -298,3 +298,21 @@ def test_beside_a_law_its_special_case_is_no_cause_and_the_law_takes_it_in() -> 
     drag = next(c for c in candidates(AXIS) if c.key[0] == "quadratic_drag")
     other = Screened(drag, drag.guesses[0], 10.0, 1.0, 10.0)
     assert taking_in(other, less, {"torque": 0.02}) == other.start
+
+
+@pytest.mark.parametrize("noise", [True, False])
+def test_where_more_than_noise_is_left_the_horizon_that_shows_it_compares(monkeypatch: pytest.MonkeyPatch, noise: bool,
+                                                                          ) -> None:
+    """The quick one, by what was read just before; where it is left with the sensors' noise alone, whole runs."""
+    predictor = predictions(AXIS, runs_of(AXIS))
+    space = parameters(predictor.data, Hypothesis(), {})
+    search = Selection(predictor, EFFORTS["quick"], Weighing(predictor.counts, 1.0))
+    search.keep(one := fit(predictor, space, search.weighing, space.mean.copy(), iterations=1))
+    search.weighed_by = one.key
+    monkeypatch.setattr(selection, "ahead_is_noise", lambda predictor, found: noise)
+    search.judge()
+    counted = search.compared.independent.sum(axis=0) > 0.0
+    assert len(counted) == 2 and counted.tolist() == (predictor.longest if noise else predictor.ahead).tolist()
+    search = complete(predictor)
+    search.judge()
+    assert search.compared is search.weighing
