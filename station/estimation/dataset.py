@@ -195,11 +195,16 @@ class Dataset:
         return float(np.sqrt(np.mean(np.concatenate([run.command for run in self.runs]) ** 2)))
 
     @cached_property
+    def _first(self) -> tuple[int, np.ndarray]:
+        """The rows of FIRST seconds, and counts by which the encoder moves from each row of all runs over them."""
+        rows = max(math.ceil(FIRST * self.rig.sample_rate), 1)
+        return rows, np.concatenate([run.encoder[rows:] - run.encoder[:-rows] for run in self.runs])
+
+    @cached_property
     def speed(self) -> float:
         """Root mean square of all runs', rad/s, over FIRST seconds each, what noise adds taken off; where nothing moves
         beyond it USUAL_SPEED."""
-        rows = max(math.ceil(FIRST * self.rig.sample_rate), 1)
-        moved = np.concatenate([run.encoder[rows:] - run.encoder[:-rows] for run in self.runs])
+        rows, moved = self._first
         square = (float(np.mean(moved**2)) if moved.size else 0.0) - 2.0 * self.sigma[0] ** 2
         return math.sqrt(square) / rows * self.rig.sample_rate * self.rig.angle_per_count if square > 0 else USUAL_SPEED
 
@@ -207,16 +212,13 @@ class Dataset:
     def motion(self) -> np.ndarray:
         """(MOTION, 2) angles (rad, of the encoder's count) and speeds (rad/s, over FIRST seconds) of all runs, each at
         an equal share of the sum of squared speeds: where a run moves."""
-        rows = max(math.ceil(FIRST * self.rig.sample_rate), 1)
-        runs = [run.encoder * self.rig.angle_per_count for run in self.runs if len(run) > rows]
-        angles = np.concatenate([0.5 * (run[rows:] + run[:-rows]) for run in runs] or [np.zeros(0)])
-        moved = np.concatenate([run[rows:] - run[:-rows] for run in runs] or [np.zeros(0)])
-        speeds = moved / rows * self.rig.sample_rate
-        share = np.cumsum(speeds**2)
-        if not share.size or share[-1] == 0.0:
+        rows, moved = self._first
+        share = np.cumsum(moved**2)
+        if not moved.any():
             return np.zeros((0, 2))
         at = np.searchsorted(share, (np.arange(MOTION) + 0.5) / MOTION * share[-1])
-        return np.stack([angles[at], speeds[at]], axis=1)
+        middle = np.concatenate([0.5 * (run.encoder[rows:] + run.encoder[:-rows]) for run in self.runs])
+        return np.stack([middle[at], moved[at] / rows * self.rig.sample_rate], axis=1) * self.rig.angle_per_count
 
     @property
     def sigma(self) -> np.ndarray:
