@@ -30,8 +30,9 @@ import numpy as np
 import scipy.linalg
 
 from station.estimation.noise import QUANTISATION
+from station.model.along import law_values, part_of
 from station.model.compiled import njit
-from station.model.effects import Effect, Stage
+from station.model.effects import Stage
 from station.model.modal import EXPONENTIAL, INTEGRAL, ModalForm, apply, dense, function
 from station.model.simulate import Model, build
 from station.rig import Rig
@@ -133,14 +134,10 @@ def slopes(rig: Rig, motion: np.ndarray) -> Slopes:
     laws = [effect for effect in rig.effects if effect.stage is Stage.TORQUE]
     if not laws or not len(motion):
         return ()
-    step, state = SMALL * float(np.sqrt(np.mean(motion[:, 1] ** 2))), [0.0] * 8
-
-    def slope(effect: Effect) -> float:
-        law, p = type(effect).law, effect.arguments(rig)
-        return float(np.mean([law(x, v + step, 0.0, p, state, rig.period) - law(x, v - step, 0.0, p, state, rig.period)
-                              for x, v in motion.tolist()])) / (2.0 * step)
-    found = [("base" if effect.at == "base" and rig.drive is not None else "motor", slope(effect)) for effect in laws]
-    return tuple((part, value) for part, value in found if value != 0.0)
+    (x, v), step = motion.T, SMALL * float(np.sqrt(np.mean(motion[:, 1] ** 2)))
+    found = [(part_of(rig, one), float(np.mean(law_values(rig, one, x, v + step) - law_values(rig, one, x, v - step))))
+             for one in laws]
+    return tuple((part, change / (2.0 * step)) for part, change in found if change != 0.0)
 
 
 @functools.lru_cache(maxsize=64)
