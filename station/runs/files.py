@@ -52,21 +52,24 @@ def new_file(path: str | os.PathLike[str], overwrite: bool = False) -> Iterator[
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         yield part
-        if not overwrite:
-            _claim(path)
-        os.replace(part, path)
+        os.replace(part, path) if overwrite else _move_to_free(part, path)
     except OSError as error:
         raise WorkError(f"{path}: cannot be written ({reason(error)})") from None
     finally:
         part.unlink(missing_ok=True)
 
 
-def _claim(path: Path) -> None:
-    """Make the file, empty; WorkError where another has."""
+def _move_to_free(part: Path, path: Path) -> None:
+    """Move a file to where none is; WorkError where one has come."""
     try:
-        path.open("xb").close()
+        path.open("xb").close()     # none but this one has the place from here on
     except FileExistsError:
         raise WorkError(f"{path}: has come there meanwhile, and is not replaced; name another file") from None
+    try:
+        os.replace(part, path)
+    except OSError:
+        path.unlink(missing_ok=True)
+        raise
 
 
 def reason(error: Exception) -> str:

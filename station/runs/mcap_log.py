@@ -139,6 +139,14 @@ class _Pieces:
         self._file.close()
 
 
+def _free(old: Path) -> Path:
+    """Where a log that is to be replaced may wait; WorkError where one waits that never was."""
+    if old.exists():
+        raise WorkError(f"{old}: an older log; the test that was to replace it was cut off before its first row; "
+                        "rename or remove it first")
+    return old
+
+
 class McapLogWriter:
     """Write a run as it goes, off the sample path.
 
@@ -177,7 +185,7 @@ class McapLogWriter:
         self._old: Path | None = None
         try:
             if overwrite and self.path.exists():
-                self._old = self.path.replace(self.path.with_name(f"{self.path.name}.old"))
+                self._old = self.path.replace(_free(self.path.with_name(f"{self.path.name}.old")))
             self._file = _Pieces(self.path, "xb")
         except OSError as error:
             self._put_back()

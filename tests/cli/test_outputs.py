@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib
 import shutil
 from types import SimpleNamespace
@@ -90,6 +91,18 @@ def test_a_file_that_comes_while_another_is_written_in_its_place_stays(tmp_path)
         part.write_text("made")
         there.write_text("mine")
     assert there.read_text() == "mine" and list(tmp_path.iterdir()) == [there]
+
+
+def test_a_file_that_cannot_be_moved_into_place_leaves_nothing_there(tmp_path, monkeypatch):
+    from station.runs.files import new_file
+
+    def fails(*_):
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr("station.runs.files.os.replace", fails)
+    with pytest.raises(WorkError, match="Input/output error"), new_file(tmp_path / "there") as part:
+        part.write_text("made")
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(("name", "option", "source"), [

@@ -327,6 +327,15 @@ def test_a_log_that_is_to_be_replaced_stays_until_the_new_one_has_rows(tmp_path)
     assert len(load_run(path)) == 2
 
 
+def test_a_log_that_a_killed_test_was_to_replace_is_not_lost_to_the_next_one(tmp_path):
+    path, old = tmp_path / "a.mcap", tmp_path / "a.mcap.old"
+    before = other_log(old)
+    there = other_log(path)
+    with pytest.raises(WorkError, match=r"a\.mcap\.old: an older log.*rename or remove it first"):
+        McapLogWriter(path, METADATA, overwrite=True)
+    assert old.read_bytes() == before and path.read_bytes() == there
+
+
 def test_the_notes_of_a_replaced_run_are_not_the_new_ones(tmp_path):
     path, notes = tmp_path / "a.mcap", tmp_path / "a.notes.json"
     other_log(path)
