@@ -95,7 +95,7 @@ def refuse_wrong_signs_and_units(found: list[Answer]) -> None:
         if one.off_by(IMPOSSIBLE):
             raise WorkError(f"{one.run}: the {one.reading} answers commands {abs(one.gain):.2g} times as much as the "
                             f"rig file says: a unit is wrong ({SCALES[one.reading]}); {MENDED}")
-    turned = {one.reading: one for one in reversed(found) if one.against}
+    turned = {one.reading: one for one in reversed(found) if one.against and _sign_is_sure(found, one.reading)}
     if len(turned) == len(READINGS):
         raise WorkError(f"{turned[READINGS[0]].run}: angle and acceleration both move the other way than the rig file "
                         f"says: command or motor.gain has the wrong sign; {MENDED}")
@@ -103,6 +103,15 @@ def refuse_wrong_signs_and_units(found: list[Answer]) -> None:
         sensor = "encoder, command or motor.gain" if one.reading == READINGS[0] else "accelerometer"
         raise WorkError(f"{one.run}: the {one.reading} moves the other way than the rig file says (correlation "
                         f"{one.sureness:.2f}): {sensor} has the wrong sign; {MENDED}")
+
+
+def _sign_is_sure(found: list[Answer], reading: str) -> bool:
+    """Whether most runs say of one reading which way it moves.
+
+    Where they do not, a run that moves the other way is far from the rig in something else: of a beam a fifth as long
+    as its file says, the acceleration follows or opposes the commands by how fast these are.
+    """
+    return abs(float(np.median([one.sureness for one in found if one.reading == reading]))) > CORRELATED
 
 
 def unlikely(found: list[Answer]) -> list[str]:

@@ -100,6 +100,22 @@ def test_a_loop_that_holds_a_still_reference_answers_for_nothing() -> None:
     assert held and answers(predictions(rig, held)) == []
 
 
+def test_one_log_with_the_other_sign_is_refused_by_its_name() -> None:
+    rig, runs = made("sflr")
+    with pytest.raises(WorkError) as refused:
+        refuse_wrong_signs_and_units(answers(predictions(rig, [*runs[:-1], *altered(runs[-1:], accel=-1.0)])))
+    one_line(refused.value, runs[-1].name, "acceleration moves the other way")
+
+
+def test_where_runs_contradict_each_other_no_sign_is_wrong() -> None:
+    """A beam of 76 mm in place of 414: what the acceleration of six tests of such an arm was seen to do."""
+    said = [(-0.09, -0.29), (-0.11, -0.33), (0.03, 0.11), (-0.15, -0.40), (-0.05, -0.10), (-0.38, -0.61)]
+    found = [Answer(f"run {k}", "acceleration", *one) for k, one in enumerate(said)]
+    refuse_wrong_signs_and_units(found)
+    with pytest.raises(WorkError, match="run 5: the acceleration moves the other way"):
+        refuse_wrong_signs_and_units([found[-1]])
+
+
 @pytest.mark.parametrize(("gain", "sureness", "against", "off"), [
     (-0.9, -0.9, True, False), (-0.9, -0.4, False, False), (-1e3, -0.9, False, True), (1e3, 0.4, False, False)])
 def test_what_is_not_sure_says_nothing(gain: float, sureness: float, against: bool, off: bool) -> None:
