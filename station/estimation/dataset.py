@@ -34,7 +34,8 @@ WARM = 1.0
 FIRST = 0.02
 """Seconds that tell whether a run begins in motion: too few for a command to move much."""
 MOTION = 256
-"""Angles and speeds that tell how runs move: of the slope of a law that levels off, two thousandths beside all rows."""
+"""Angles and speeds, and torques of a joint, that tell how runs move: of the slope of a law that levels off, two
+thousandths beside all rows."""
 FIRST_COUNTS, FIRST_SIGMAS, FIRST_SHARE = 2.0, 6.0, 0.05
 """By how much these may differ from a rig at rest: counts (two readings, each rounded either way), sigmas of the noise,
 and, of the accelerometer, a share of what it reads in the whole run."""
@@ -109,6 +110,9 @@ class Dataset:
     clock: tuple[float, float] | None
     segment_run: np.ndarray
     """(stretches) the run of each."""
+    carried: dict[str, np.ndarray]
+    """By joint (drive, clamp), torques (MOTION), N m, that it carries in the runs by the nominal rig without effects,
+    at equal shares of the sum of squared ones; none where it carries none."""
 
     @cached_property
     def segment_counts(self) -> np.ndarray:
@@ -213,10 +217,7 @@ class Dataset:
         """(MOTION, 2) angles (rad, of the encoder's count) and speeds (rad/s, over FIRST seconds) of all runs, each at
         an equal share of the sum of squared speeds: where a run moves."""
         rows, moved = self._first
-        share = np.cumsum(moved**2)
-        if not moved.any():
-            return np.zeros((0, 2))
-        at = np.searchsorted(share, (np.arange(MOTION) + 0.5) / MOTION * share[-1])
+        at = _evenly(moved)
         middle = np.concatenate([0.5 * (run.encoder[rows:] + run.encoder[:-rows]) for run in self.runs])
         return np.stack([middle[at], moved[at] / rows * self.rig.sample_rate], axis=1) * self.rig.angle_per_count
 
@@ -224,6 +225,26 @@ class Dataset:
     def sigma(self) -> np.ndarray:
         """(c) standard deviation of a reading, rounding included, counts."""
         return np.sqrt(np.square(self.noise[: self.channels]) + QUANTISATION)
+
+
+def _evenly(values: np.ndarray) -> np.ndarray:
+    """Indices (MOTION) of values at equal shares of the sum of their squares; none of values that are all 0."""
+    share = np.cumsum(values**2)
+    return np.searchsorted(share, (np.arange(MOTION) + 0.5) / MOTION * share[-1]) if values.any() else np.zeros(0, int)
+
+
+def _carried(rig: Rig, runs: Sequence[Run]) -> dict[str, np.ndarray]:
+    """As ``Dataset`` has it."""
+    model = build(rig.with_effects([]))
+    found: dict[str, list[np.ndarray]] = {at: [] for at in ("drive", "clamp") if getattr(rig, at) is not None}
+    for run in runs if found else []:
+        moved = simulate_model(model, replace(run, metadata=RunMetadata()), states=True).states
+        assert moved is not None
+        for at, torques in found.items():
+            one, other = model.assembly.sides(at)
+            torques.append(getattr(rig, at).stiffness * (moved[:, one] - moved[:, other]))
+    joined = {at: np.concatenate(torques) for at, torques in found.items()}
+    return {at: torque[_evenly(torque)] for at, torque in joined.items() if torque.any()}
 
 
 def _joined(records: Sequence[Record]) -> Logs:
@@ -282,7 +303,7 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
         for run, window, zero, first, count
         in zip(runs, windows or [slice(None)] * len(runs), zero_ids, np.cumsum(parts) - parts, parts, strict=True))
     return Dataset(meshed, records, noise=noise.sigmas, noise_freedoms=noise.freedoms, clock=clock_evidence(tests),
-                   segment_run=np.repeat(np.arange(len(runs)), parts))
+                   segment_run=np.repeat(np.arange(len(runs)), parts), carried=_carried(meshed, tests))
 
 
 def _refuse_rollover(rig: Rig, run: Run) -> None:

@@ -12,17 +12,19 @@ infinite horizon is the simulation driven by the logged command (output error). 
 Every rig that is simulated has its own (the gain is a function of the parameters: Ljung, section 4.3), with the same
 horizon.  With gains of the nominal rig a hypothesis would win by what it makes of them: with a rigid drive in place of
 a soft one the same gains forget after three fifths of the time, and errors that are predicted less far ahead are
-smaller whatever the cause.  So the linear rig is the one about its motion: torques that its effects put on the motor
-and the base as functions of the speed are in it by their slopes (``slopes``).  Or a drag that is viscous for all that
-the runs do would win over the damping that it is.  What torques change with the angle is no matter within the quick
-horizon, and a pendulum's weight, which holds where it hangs and topples where it stands, has no one slope.
+smaller whatever the cause.  So the linear rig is the one about its motion (``slopes``): torques that its effects put
+on the motor and the base as functions of the speed are in it by their slopes, and joints with play or a spring of
+another law by the stiffness that comes nearest.  Or a drag that is viscous for all that the runs do would win over the
+damping that it is, and a spring that is softer in the middle over a play.  What torques change with the angle is no
+matter within the quick horizon, and a pendulum's weight, which holds where it hangs and topples where it stands, has no
+one slope.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -30,7 +32,7 @@ import numpy as np
 import scipy.linalg
 
 from station.estimation.noise import QUANTISATION
-from station.model.along import law_values, part_of
+from station.model.along import equivalent_stiffness, law_values, part_of
 from station.model.compiled import njit
 from station.model.effects import Stage
 from station.model.modal import EXPONENTIAL, INTEGRAL, ModalForm, apply, dense, function
@@ -86,7 +88,8 @@ class Observer:
 
 
 Slopes = tuple[tuple[str, float], ...]
-"""Parts (motor, base) and what a torque there changes with their speed where the runs move, N m s/rad."""
+"""Parts (motor, base) and what a torque there changes with their speed where the runs move, N m s/rad; joints (drive,
+clamp) and by how much they are stiffer where the runs load them, N m/rad."""
 
 
 class Correction(NamedTuple):
@@ -128,16 +131,21 @@ class _Filter(NamedTuple):
     """Between two samples by the board's clock, s: by that horizons count, whatever a hypothesis says of it."""
 
 
-def slopes(rig: Rig, motion: np.ndarray) -> Slopes:
-    """Of a rig's torques: the mean derivative by the speed over a motion (m, 2), angles (rad) and speeds (rad/s) that
-    weigh alike (statistical linearisation: Booton, Proc. Symp. Nonlinear Circuit Analysis, 1953)."""
-    laws = [effect for effect in rig.effects if effect.stage is Stage.TORQUE]
-    if not laws or not len(motion):
-        return ()
-    (x, v), step = motion.T, SMALL * float(np.sqrt(np.mean(motion[:, 1] ** 2)))
-    found = [(part_of(rig, one), float(np.mean(law_values(rig, one, x, v + step) - law_values(rig, one, x, v - step))))
-             for one in laws]
-    return tuple((part, change / (2.0 * step)) for part, change in found if change != 0.0)
+def slopes(rig: Rig, motion: np.ndarray, carried: Mapping[str, np.ndarray] | None = None) -> Slopes:
+    """What a rig's torques change about a motion.
+
+    Of those on a part the mean derivative by the speed over ``motion`` (m, 2), angles (rad) and speeds (rad/s) that
+    weigh alike (statistical linearisation: Booton, Proc. Symp. Nonlinear Circuit Analysis, 1953); of a joint with play
+    or another spring what its ``equivalent_stiffness`` is more, where it carries torques (m), N m, by joint.
+    """
+    laws = [effect for effect in rig.effects if effect.stage is Stage.TORQUE] if len(motion) else []
+    (x, v), step = motion.T, SMALL * float(np.sqrt(np.mean(motion[:, 1] ** 2))) if laws else 0.0
+    found = [(part_of(rig, one), float(np.mean(law_values(rig, one, x, v + step) - law_values(rig, one, x, v - step)))
+              / (2.0 * step)) for one in laws]
+    sprung = {effect.at for effect in rig.effects if effect.stage in (Stage.GAP, Stage.SPRING)}
+    found += [(at, equivalent_stiffness(rig, at, torque) - getattr(rig, at).stiffness)
+              for at, torque in (carried or {}).items() if at in sprung]
+    return tuple((at, change) for at, change in found if change != 0.0)
 
 
 @functools.lru_cache(maxsize=64)
@@ -263,15 +271,16 @@ def _transition(kind, eigenvalues, per_count, decay, period):
 
 
 def _about(model: Model, blocks: np.ndarray, about: Slopes, decay: float) -> tuple[np.ndarray, np.ndarray]:
-    """The same of a rig on whose motor and base act torques of these slopes, which join its modes."""
+    """The same of a rig on which torques of these slopes act, which join its modes."""
     form, kept, parts = model.form.select(blocks), model.form.columns(blocks), model.assembly
     size, n = len(kept), parts.size
     held = np.zeros((size + 1, size + 1))
     held[:size, :size], held[:size, size] = dense(form.rates()), model.per_count[kept]
-    for part, slope in about:
-        at = parts.base if part == "base" else parts.motor
-        force = form.inverse[:, n:] @ np.linalg.solve(parts.mass, parts.unit(at))
-        held[:size, :size] += np.outer(force, slope * form.basis[n + at])
+    for at, slope in about:
+        one, other = parts.sides(at)
+        on = parts.unit(one) if other is None else parts.unit(one) - parts.unit(other)
+        by = form.basis[n + one] if other is None else form.basis[other] - form.basis[one]
+        held[:size, :size] += np.outer(form.inverse[:, n:] @ np.linalg.solve(parts.mass, on), slope * by)
     f = scipy.linalg.expm(_period(model) * held)
     enters = np.append(f[:size, size], 1.0)
     f[:, size] = enters * decay

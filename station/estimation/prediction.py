@@ -104,8 +104,8 @@ def is_compiled() -> bool:
 
 @functools.lru_cache(maxsize=64)
 def in_motion(data: Dataset, model: Model) -> Slopes:
-    """The slopes of a rig's torques where these runs move."""
-    return slopes(model.rig, data.motion)
+    """What a rig's torques change where these runs move."""
+    return slopes(model.rig, data.motion, data.carried)
 
 
 def _predicted(data: Dataset, model: Model, observers: Sequence[Observer], logs: Logs, starts: Sequence[State],

@@ -22,6 +22,10 @@ REST_ROWS = 20
 """Rows in which a part must move by a count to count as moving."""
 NEWTON = 8
 """Steps of Newton's method."""
+SOFTEST = 0.05
+"""Share of a joint's stiffness below which its own effects are not taken to make it softer."""
+NEAREST, PLACES = 1e-5, 512
+"""Smallest deflection at which a joint's torque is worked out, of the largest, and at how many: 2 % apart."""
 
 
 def effective_command(rig: Rig, command: np.ndarray) -> np.ndarray:
@@ -120,6 +124,25 @@ def held_torque(rig: Rig, at: str, angle: np.ndarray, speed: np.ndarray, load: n
         carried = stiffness * angle - before
         total += stiffness * _deflection(rig, at, carried, angle, h) - carried
     return total
+
+
+def equivalent_stiffness(rig: Rig, at: str, torque: np.ndarray) -> float:
+    """Stiffness, N m/rad, of the spring that comes nearest to a joint and its effects where they carry torques (m).
+
+    By least squares of the deflection, the torques weighing by their squares (statistical linearisation: Booton, Proc.
+    Symp. Nonlinear Circuit Analysis, 1953; as a rule these are picked at equal shares of the sum of squares).  A joint
+    that softens is deflected no further than to where it carries most.
+    """
+    softest = SOFTEST * getattr(rig, at).stiffness
+    places, compliance = np.max(np.abs(torque)) / softest * np.geomspace(NEAREST, 1.0, PLACES), np.zeros(len(torque))
+    for way in (1.0, -1.0):
+        carried = way * joint_torque(rig, at, way * places, np.zeros(PLACES), rig.period)
+        end = PLACES - int(np.argmax(carried[::-1]))
+        here = way * torque > 0.0
+        held = np.minimum(way * torque[here], carried[end - 1])
+        deflection = np.interp(held, np.maximum.accumulate(carried[:end]), places[:end])
+        compliance[here] = deflection / np.maximum(held, softest * deflection)
+    return 1.0 / float(np.mean(compliance))
 
 
 def _deflection(rig: Rig, at: str, torque: np.ndarray, guess: np.ndarray, h: float) -> np.ndarray:

@@ -39,6 +39,12 @@ class Assembly:
         """Number of coordinates."""
         return self.mass.shape[0]
 
+    def sides(self, at: str) -> tuple[int, int | None]:
+        """The coordinates of a part (motor, base), one, or of the two sides of a joint (drive, clamp)."""
+        found = {"motor": (self.motor, None), "base": (self.base, None),
+                 "drive": (self.motor, self.base), "clamp": (self.base, self.root)}
+        return found[at]
+
     def unit(self, index: int) -> np.ndarray:
         """The vector (n) that picks one coordinate: a torque on it, or its rotation."""
         vector = np.zeros(self.size)

@@ -294,6 +294,28 @@ def test_a_viscous_drag_has_the_observer_of_the_damping_that_it_is(shape: str) -
     assert abs(without.torque / found[0][-1] - 1.0) > 0.01, "by the linear part alone it is another"
 
 
+@pytest.mark.parametrize(("shape", "joint"), [("two-mass", "drive"), ("sflr", "drive"), ("sflr", "clamp")])
+def test_a_joint_with_a_spring_of_another_law_has_the_observer_of_the_stiffness_that_comes_nearest(
+        shape: str, joint: str) -> None:
+    """Or a spring that is softer in the middle would be predicted better than the play that it stands in for."""
+    plain, torques = bare(shape), 0.3 * np.sin(np.arange(256) / 7.0)
+    stiffness = getattr(plain, joint).stiffness
+    cubic = 2.0 * stiffness**3 / float(np.mean(torques**2))
+    sprung = plain.with_effects([one("hardening_spring", joint, cubic=cubic)])
+    (found,) = slopes(sprung, np.zeros((0, 2)), {joint: torques})
+    assert found[0] == joint and found[1] > 0.1 * stiffness
+    stiffer = plain.with_constants({f"{joint}.stiffness": stiffness + found[1]})
+    (observer,) = observers(plain, 0.1, (0.05,))
+    at = []
+    for rig, about in ((stiffer, ()), (sprung, (found,)), (sprung, ())):
+        model = build(rig, 0.0, 1e-3)
+        gain = correction(observer, model, about)
+        at.append([*(model.form.basis @ gain.state)[[model.assembly.motor, model.assembly.base]], gain.torque])
+    with_it, without = (np.abs(np.array(gain) / at[0] - 1.0).max() for gain in at[1:])
+    assert with_it < 0.02 and with_it < 0.2 * without, "by the linear part alone it is another"
+    assert slopes(sprung, np.zeros((0, 2)), {}) == ()
+
+
 @pytest.mark.parametrize("horizon", HORIZONS)
 @pytest.mark.parametrize("shape", RIGS)
 def test_with_drag_an_angle_is_forgotten_after_the_horizon_too(shape: str, horizon: float) -> None:

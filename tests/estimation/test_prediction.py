@@ -13,13 +13,13 @@ from station.estimation.dataset import dataset
 from station.estimation.observer import Observer, observers
 from station.estimation.prediction import SEARCH, predict_run
 from station.model.effects import effect_class
-from station.model.simulate import Model, build, simulate_model
+from station.model.simulate import Model, build, simulate, simulate_model
 from station.model.units import powers
 from station.rig import Rig, load_rig
-from station.runs.run import Run
+from station.runs.run import Run, RunMetadata
 from tests.cli.conftest import step_run
 from tests.estimation.made import AXIS, run_of
-from tests.truth import SFLR, innovations
+from tests.truth import SFLR, TWO_MASS, innovations
 
 
 def predict(model: Model, watched: Sequence[Observer], run: Run, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -139,3 +139,22 @@ def test_without_disturbances_the_plain_filter_of_a_perfect_arm_predicts_the_sam
     found, _ = predict(build(rig, 0.0, 2e-4), observers(rig, 0.0, (math.inf,)), run, begun(0.0))
     plain = innovations.innovations(SFLR, run.command, run.encoder[:, None], start_spread=1e-9)
     np.testing.assert_allclose(found[0, 0], run.encoder - plain.errors[:, 0], atol=0.05)
+
+
+def test_a_play_is_predicted_better_by_an_observer_that_knows_of_it() -> None:
+    """Of two masses that disturbances drive besides; or what stands in for the play would win."""
+    rig = Rig.model_validate({**{key: table for key, table in TWO_MASS.items() if key != "uncertainty"},
+                              "drive": {"stiffness": 2.0, "damping": 0.01}})
+    rig = rig.with_effects([effect_class("backlash")(at="drive", gap=0.03)])
+    t, random = np.arange(3000) / rig.sample_rate, np.random.default_rng(5)
+    command = 60.0 * np.sign(np.sin(2.0 * math.pi * 0.7 * t)) * (t > 0.1)
+    disturbed = command + 6.0 * np.convolve(random.standard_normal(len(t)), np.ones(50) / math.sqrt(50.0), "same")
+    meta = RunMetadata(controller={"kind": "open"})
+    made = simulate(rig, Run("x", t, command, disturbed, 0.0 * t, None, meta))
+    data = dataset(rig.with_effects([]), [Run("x", t, command, command, made.encoder, None, meta)])
+    watched, own = observers(data.rig, data.noise[0])[:1], data.own[0]
+    errors = []
+    for carried in (data.carried, {}):
+        predicted, _ = predict_run(replace(data, carried=carried), build(rig, *SEARCH[:2]), watched, 0, own)
+        errors.append(float(np.mean((data.records[0].measured[0] - predicted[0, 0]) ** 2)))
+    assert errors[0] < 0.9 * errors[1]

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from station.model import stepper
-from station.model.along import axis_load, effective_command
+from station.model.along import axis_load, effective_command, equivalent_stiffness
 from station.model.assembly import assemble
 from station.model.effects import effect_class
 from station.model.simulate import build, initial_state
 from station.rig import Rig
-from tests.truth import RIGID_AXIS, SFLR
+from tests.truth import RIGID_AXIS, SFLR, TWO_MASS
 
 RATE = 500.0
 COMMAND = np.repeat([0.0, 90.0, -60.0, 30.0, 0.0, -120.0], 60)
@@ -85,3 +85,40 @@ def test_friction_along_a_motion_is_the_fraction_of_the_load(table, others):
     assert np.count_nonzero(steady) > 100
     assert np.median(np.abs(acting - wanted)[steady]) < 2e-3 * scale
     assert np.quantile(np.abs(acting - wanted)[steady], 0.9) < 0.05 * scale
+
+
+TORQUES = (0.1 + 0.5 * np.abs(np.sin(np.arange(200.0)))) * np.where(np.arange(200) % 2, 1.0, -1.0)
+STIFFNESS = TWO_MASS["drive"]["stiffness"]
+
+
+def stiffness_of(name: str, **sizes: float) -> float:
+    return equivalent_stiffness(made(TWO_MASS, (name, "drive", sizes)), "drive", TORQUES)
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.01, 0.1])
+def test_a_play_adds_half_its_width_to_every_deflection(gap):
+    compliance = 1.0 / STIFFNESS + 0.5 * gap * np.mean(1.0 / np.abs(TORQUES))
+    assert stiffness_of("backlash", gap=gap) == pytest.approx(1.0 / compliance, rel=0.01)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 5.0])
+def test_a_hardening_spring_is_as_stiff_as_its_deflections_say(share):
+    reach = np.abs(TORQUES).max() / STIFFNESS
+    cubic = share * STIFFNESS / reach**2
+    roots = [np.roots([cubic, 0.0, STIFFNESS, -torque]) if cubic else np.array([torque / STIFFNESS])
+             for torque in TORQUES]
+    deflection = np.array([found[np.argmin(np.abs(found.imag))].real for found in roots])
+    found = stiffness_of("hardening_spring", cubic=cubic)
+    assert found == pytest.approx(1.0 / np.mean(deflection / TORQUES), rel=0.001)
+    assert (found > 1.01 * STIFFNESS) is (share > 0.0)
+
+
+def test_a_spring_that_softens_until_it_carries_no_more_is_as_soft_as_where_it_carries_most():
+    """k x - c x^3 carries most at x = sqrt(k/3c), 2/3 k x."""
+    reach = np.abs(TORQUES).min() / STIFFNESS
+    softened = stiffness_of("hardening_spring", cubic=-STIFFNESS / reach**2)
+    assert softened == pytest.approx(2.0 / 3.0 * STIFFNESS, rel=0.02)
+
+
+def test_a_joint_that_is_all_play_is_a_twentieth_as_stiff():
+    assert stiffness_of("backlash", gap=100.0 * np.abs(TORQUES).max() / STIFFNESS) == pytest.approx(0.05 * STIFFNESS)
