@@ -62,9 +62,13 @@ def remainder(predictor: Predictor, found: Fit) -> Remainder:
     return Remainder(np.array(size), np.array(slow))
 
 
-def ahead_is_noise(predictor: Predictor, found: Fit) -> bool:
-    """Whether what a fit misses of the encoder a few samples ahead is no more than the sensor's noise, fed back."""
-    model = predictor.model(found.space, found.x)
-    expected = noise_gain(predictor.observers[0], model, in_motion(predictor.data, model))
+def ahead_is_noise(predictor: Predictor, found: Fit, alone: Fit) -> bool:
+    """Whether a few samples ahead a fit misses no more of the encoder than the sensor's noise, fed back, and the rig
+    ``alone`` no more than it: a cause that takes the rest away has that for its evidence."""
+    def size(one: Fit) -> np.ndarray:
+        model = predictor.model(one.space, one.x)
+        return one.squares[:, 0] / noise_gain(predictor.observers[0], model, in_motion(predictor.data, model))
+    left, counts = size(found), predictor.counts[:, 0]
     freedoms = np.array(predictor.data.noise_freedoms[0])
-    return bool(np.all(_size(found.squares[:, 0] / expected, predictor.counts[:, 0], freedoms) < NOISE))
+    more = (size(alone) / left - 1.0) / np.sqrt(2.0 * SCATTER / counts)
+    return bool(np.all(_size(left, counts, freedoms) < NOISE) and np.all(more < NOISE))

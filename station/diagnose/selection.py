@@ -206,12 +206,12 @@ class Selection:
         Whole runs go by the commands with which a loop made up for what no hypothesis holds, and that is met best by
         what holds the rig in its place: where a loop rests, by friction that is not there.  The direct method errs by
         what its model of the disturbances lacks (Forssell and Ljung, Automatica 35, 1999), and a simulation has none.
-        Where it shows no more than noise it says nothing but what each hypothesis's own observer makes of that, and
-        whole runs compare alone.
+        Where it shows no more than noise, by the rig alone and by the best set, it says nothing but what each
+        hypothesis's own observer makes of that, and whole runs compare alone.
         """
         if not self.complete:
-            best = self.fits[self.weighed_by]
-            blocks = self.predictor.longest if ahead_is_noise(self.predictor, best) else self.predictor.ahead
+            best, alone = self.fits[self.weighed_by], self.fits[frozenset()]
+            blocks = self.predictor.longest if ahead_is_noise(self.predictor, best, alone) else self.predictor.ahead
             self.judging = weighing_of(self.predictor, best, blocks)
             self._weighed.clear()
 

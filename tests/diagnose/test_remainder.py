@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from station.diagnose.remainder import Remainder, remainder
+from station.diagnose.remainder import Remainder, ahead_is_noise, remainder
 from station.diagnose.thresholds import NOISE
+from station.estimation.constants import unknown
+from station.estimation.fitted import Fit
+from station.estimation.least_squares import fit
+from station.estimation.parameters import Hypothesis, parameters
+from station.estimation.prediction import Predictor
+from station.model.effects import effect_class
+from tests.estimation.made import AXIS, predictions, run_of
 
 ROWS = 5000
 LOGGED = {"all": np.ones(ROWS), "every other": (np.arange(ROWS) % 2 == 0).astype(float),
@@ -31,3 +40,27 @@ def test_white_noise_is_noise_and_a_slow_swing_a_third_as_strong_is_not(logged: 
     assert abs(slow.mean()) < 0.4 and 0.5 < slow.std() < 1.3
     swing = 0.45 * np.sin(np.linspace(0.0, 40.0, ROWS))
     assert left(rng.standard_normal(ROWS) + swing, logged).slow.max() > NOISE
+
+
+@cache
+def fitted(hidden: str) -> tuple[Predictor, dict[str, Fit]]:
+    """Of an axis with a coarse encoder, the rig alone and with the delay that acts, or with none that acts."""
+    late = AXIS.with_effects([effect_class("input_delay")(at="amplifier", time=0.012)] if hidden else [])
+    noisy = np.random.default_rng(7)
+    runs = [replace(run, encoder=np.round(run.encoder + 0.4 * noisy.standard_normal(len(run))))
+            for run in (run_of(late, 60.0, "open", name, 6.0) for name in ("one", "two"))]
+    predictor = predictions(AXIS, runs)
+    space = parameters(predictor.data, Hypothesis(), {})
+    alone = fit(predictor, space, unknown(predictor), space.mean)
+    with_delay = parameters(predictor.data, Hypothesis(((effect_class("input_delay"), "amplifier"),)),
+                            {("input_delay", "amplifier"): {"time": 0.01}})
+    best = fit(predictor, with_delay, alone.weighing, with_delay.carried(space, alone.x))
+    return predictor, {"alone": alone, "best": best}
+
+
+@pytest.mark.parametrize(("hidden", "found", "noise"), [
+    ("", "alone", True), ("", "best", True), ("input_delay", "best", False), ("input_delay", "alone", False)])
+def test_ahead_is_noise_only_where_no_cause_takes_something_away(hidden: str, found: str, noise: bool) -> None:
+    """What takes all but noise away has that for its evidence: it must not be thrown away with it."""
+    predictor, fits = fitted(hidden)
+    assert ahead_is_noise(predictor, fits[found], fits["alone"]) is noise

@@ -309,7 +309,7 @@ def test_where_more_than_noise_is_left_the_horizon_that_shows_it_compares(monkey
     search = Selection(predictor, EFFORTS["quick"], Weighing(predictor.counts, 1.0))
     search.keep(one := fit(predictor, space, search.weighing, space.mean.copy(), iterations=1))
     search.weighed_by = one.key
-    monkeypatch.setattr(selection, "ahead_is_noise", lambda predictor, found: noise)
+    monkeypatch.setattr(selection, "ahead_is_noise", lambda predictor, found, alone: noise)
     search.judge()
     counted = search.compared.independent.sum(axis=0) > 0.0
     assert len(counted) == 2 and counted.tolist() == (predictor.longest if noise else predictor.ahead).tolist()
