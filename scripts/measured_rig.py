@@ -27,7 +27,7 @@ from threadpoolctl import threadpool_limits
 from station.cli import diagnosis as command
 from station.diagnose.measures import nrmse, step_measures
 from station.diagnose.result import DiagnosisResult, RunComparison
-from station.diagnose.validation import leave_each_out, simulate_unseen
+from station.diagnose.validation import leave_each_out, predict_unseen
 from station.errors import StationError
 from station.estimation.constants import ROUNDS, base_fit
 from station.estimation.dataset import dataset
@@ -102,7 +102,7 @@ def held_alike(result: DiagnosisResult) -> list[Simulation]:
         for _ in range(ROUNDS):
             weighing = replace(weighing_of(predictor, found), differ=(0.0, 0.0))
             found = fit(predictor, found.space, weighing, found.x, found.own, to_the_end=True)
-        return simulate_unseen(predictor, leave_each_out(predictor, found.weighing, found, far=True))
+        return predict_unseen(predictor, leave_each_out(predictor, found.weighing, found, far=True))[0]
 
 
 def arm_table(result: DiagnosisResult) -> None:

@@ -31,17 +31,17 @@ from station.diagnose.result import (
 from station.diagnose.selection import EFFORTS, Selection, select
 from station.diagnose.thresholds import FEW
 from station.diagnose.unseen import sized, unseen
-from station.diagnose.validation import gain, seconds_ahead
+from station.diagnose.validation import gain, nominal, seconds_ahead
 from station.diagnose.verdict import verdict
 from station.diagnose.wrong import wrong
 from station.errors import UsageError, WorkError
 from station.estimation.answers import answers, refuse_wrong_signs_and_units, unlikely
 from station.estimation.cause import Key
 from station.estimation.dataset import canonical_order, dataset
+from station.estimation.fitted import Fit
 from station.estimation.least_squares import CANNOT_SIMULATE, DIVERGED
 from station.estimation.loaded import load_compiled
 from station.estimation.observer import observers, torque_gains
-from station.estimation.parameters import Parameters
 from station.estimation.pool import SIZE, Pool
 from station.estimation.prediction import SEARCH, Predictor, in_motion, predict_run
 from station.model.simulate import build
@@ -124,8 +124,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
         gain=gain(data, comparisons, judged.simulations[2], judged.ahead),
         next_experiment=with_word(None if decided else choice().next, decision, told, said.causes, known),
         outside=finding.outside,
-        disturbance=_disturbance(predictor, [(nothing.space, np.zeros(nothing.space.size)), (nothing.space, nothing.x),
-                                             (shown.space, shown.x)]),
+        disturbance=_disturbance(predictor, [nominal(data, nothing), nothing, shown]),
         between_runs=between_runs(search, finding), rig=rig.name, effort=effort,
         runs=[RunFile(run=run.name) for run in given],
         ranking=[Ranked(effect=r.effect, at=r.at, probability=r.probability, note=r.note) for r in ranked])
@@ -178,25 +177,25 @@ def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice], list
             [slice(0, half), slice(half, None)], amiss)
 
 
-def _disturbance(predictor: Predictor, rigs: Sequence[tuple[Parameters, np.ndarray]]) -> Disturbance:
-    """The torque at the motor that is missing with each rig, its encoder's zeros and places in a gap (parameters and
-    x), in the rows that count: a share of the command's rms torque.
+def _disturbance(predictor: Predictor, fits: Sequence[Fit]) -> Disturbance:
+    """The torque at the motor that is missing with each fit, and with what it says that runs have of their own, in the
+    rows that count: a share of the command's rms torque.
 
     It is what the quickest observer makes of it over the share of a torque that it shows, less what the encoder's noise
     makes of it.
     """
     data, quickest = predictor.data, predictor.observers[:1]
 
-    def share(rig: tuple[Parameters, np.ndarray]) -> float:
-        space, x = rig
+    def share(one: Fit) -> float:
+        space, x = one.space, one.x
         model, missing, command = build(space.rig_at(x), *SEARCH[:2]), 0.0, 0.0
         shown, noise = torque_gains(quickest[0], model, in_motion(data, model))
         for r, (run, record) in enumerate(zip(data.runs, data.records, strict=True)):
-            torque = predict_run(data, model, quickest, r, data.own[r], zero=space.zero(x, record.zero_group),
+            torque = predict_run(data, model, quickest, r, one.own[r], zero=space.zero(x, record.zero_group),
                                  place=space.place(x, r))[1][0]
             torque, given = torque[record.window], run.command[record.window]
             missing += float(torque @ torque) - noise * float(data.sigma[0] ** 2) * len(torque)
             command += float(given @ given)
         return float(np.sqrt(max(missing, 0.0) / max(command, 1e-300)) / shown)
-    nominal, refitted, extended = predictor.pool.map(share, rigs)
+    nominal, refitted, extended = predictor.pool.map(share, [one.light for one in fits])
     return Disturbance(nominal=nominal, refitted=refitted, extended=extended)

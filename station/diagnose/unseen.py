@@ -16,9 +16,8 @@ from station.diagnose.validation import (
     log_densities,
     missed_by_more,
     nominal,
-    predicted_ahead,
+    predict_unseen,
     relief,
-    simulate_unseen,
 )
 from station.estimation.cause import Causes
 from station.estimation.fitted import Fit
@@ -73,15 +72,15 @@ def unseen(search: Selection, finding: Finding, said: list[Fit]) -> Unseen:
         left_out[frozenset()] = leave_each_out(predictor, search.own_weighing(nothing), nothing,
                                                far=not finding.left.is_noise)
     alone = left_out[frozenset()]
-    refit = simulate_unseen(predictor, alone)
+    refit, refit_ahead = predict_unseen(predictor, alone)
     densities = {keys: log_densities(predictor, search.compared, fits) for keys, fits in left_out.items()}
     gains = densities[causes] - densities[frozenset()]
     relieved = (relief(alone, said) + search.clock_score(finding.fit.space.hypothesis)
                 - search.clock_score(nothing.space.hypothesis))
-    before, after = simulate_unseen(predictor, unfitted), simulate_unseen(predictor, said) if causes else refit
+    before, before_ahead = predict_unseen(predictor, unfitted)
+    after, after_ahead = predict_unseen(predictor, said) if causes else (refit, refit_ahead)
     against = contradicted(gains, relieved) or missed_by_more(predictor.data, before, after)
     holding = said
     if against and not finding.left.is_noise:
-        holding, after = alone, refit
-    return Unseen(holding, densities, gains, relieved, (before, refit, after),
-                  (predicted_ahead(predictor, unfitted), predicted_ahead(predictor, holding)), against)
+        holding, after, after_ahead = alone, refit, refit_ahead
+    return Unseen(holding, densities, gains, relieved, (before, refit, after), (before_ahead, after_ahead), against)

@@ -58,8 +58,16 @@ def whole_run(data: Dataset, model: Model, run: int, own: np.ndarray, *, roundin
 
 def settled_run(data: Dataset, model: Model, run: int, own: np.ndarray, differ: tuple[float, float] = (0.0, 0.0),
                 zero: float = 0.0, place: float = 0.0) -> Simulation:
-    """The same with what suits the run best of what it has of its own (two Gauss-Newton steps), as the device would
-    have read it; ``differ`` as ``Weighing`` has it."""
+    """The same with what suits the run best of what it has of its own (``suited``), as the device would have read it.
+    """
+    own = suited(data, model, run, own, differ, zero, place)
+    return whole_run(data, model, run, own, zero=zero, place=place)
+
+
+def suited(data: Dataset, model: Model, run: int, own: np.ndarray, differ: tuple[float, float], zero: float,
+           place: float) -> np.ndarray:
+    """(4) what suits a run best of what it has of its own, by two Gauss-Newton steps; ``differ`` as ``Weighing`` has
+    it."""
     moves = np.isin(data.free, np.flatnonzero([True, True, *(size > 0.0 for size in differ)]))
     free, prior = data.free[moves], nuisance_precision(data, differ)[run][moves]
     scale = np.sqrt(data.records[run].share) / data.sigma[:, None]
@@ -82,7 +90,7 @@ def settled_run(data: Dataset, model: Model, run: int, own: np.ndarray, differ: 
             break
         own[free] += step
         own[0] = np.clip(own[0], first[0] - data.rig.angle_per_count, first[0] + data.rig.angle_per_count)
-    return whole_run(data, model, run, own, zero=zero, place=place)
+    return own
 
 
 def nominal(data: Dataset, found: Fit) -> Fit:
@@ -111,29 +119,24 @@ def leave_each_out(predictor: Predictor, weighing: Weighing, found: Fit, *, far:
     return list(predictor.pool.map(without, range(len(predictor.data.runs))))
 
 
-def simulate_unseen(predictor: Predictor, left_out: Sequence[Fit]) -> list[Simulation]:
-    """Every run, simulated by the fit that left that run out (exact model, whole counts)."""
-    data = predictor.data
-
-    def one(r: int) -> Simulation:
-        left = left_out[r]
-        return settled_run(data, build(left.space.rig_at(left.x)), r, left.own[r], left.weighing.differ,
-                           left.space.zero(left.x, data.records[r].zero_group), left.space.place(left.x, r))
-    return list(predictor.pool.map(one, range(len(data.runs))))
-
-
-def predicted_ahead(predictor: Predictor, left_out: Sequence[Fit]) -> list[dict[str, float]]:
-    """Per run the encoder's nrmse of predictions AHEAD seconds ahead, by the fit that left that run out."""
+def predict_unseen(predictor: Predictor, left_out: Sequence[Fit],
+                   ) -> tuple[list[Simulation], list[dict[str, float]]]:
+    """Every run by the fit that left it out (exact model), with what suits it best of what it has of its own: simulated
+    as a whole (whole counts), and the encoder's nrmse of predictions AHEAD seconds ahead."""
     data = predictor.data
     watched = observers(data.rig, data.noise[0], AHEAD)
 
-    def one(r: int) -> dict[str, float]:
+    def one(r: int) -> tuple[Simulation, dict[str, float]]:
         left, record = left_out[r], data.records[r]
-        made, _ = predict_run(data, build(left.space.rig_at(left.x)), watched, r, left.own[r],
-                              zero=left.space.zero(left.x, record.zero_group), place=left.space.place(left.x, r))
-        return {f"{seconds:g} s": nrmse(record.run.encoder[record.window], angle[record.window])
-                for seconds, angle in zip(AHEAD, made[:, 0], strict=True)}
-    return list(predictor.pool.map(one, range(len(data.runs))))
+        model = build(left.space.rig_at(left.x))
+        zero, place = left.space.zero(left.x, record.zero_group), left.space.place(left.x, r)
+        own = suited(data, model, r, left.own[r], left.weighing.differ, zero, place)
+        made, _ = predict_run(data, model, watched, r, own, zero=zero, place=place)
+        return (whole_run(data, model, r, own, zero=zero, place=place),
+                {f"{seconds:g} s": nrmse(record.run.encoder[record.window], angle[record.window])
+                 for seconds, angle in zip(AHEAD, made[:, 0], strict=True)})
+    made, ahead = zip(*predictor.pool.map(one, range(len(data.runs))), strict=True)
+    return list(made), list(ahead)
 
 
 def log_density(predictor: Predictor, weighing: Weighing, left: Fit, run: int) -> float:
@@ -259,7 +262,7 @@ def gain(data: Dataset, comparisons: Sequence[RunComparison], after: Sequence[Si
          ahead: tuple[Sequence[dict[str, float]], Sequence[dict[str, float]]]) -> Gain:
     """The diagnosis file's gain: nrmse over all held-out runs and the share of the explainable error removed.
 
-    ``ahead``: per run the errors of predictions so far ahead, before and after (``predicted_ahead``).
+    ``ahead``: per run the errors of predictions so far ahead, before and after (``predict_unseen``).
     """
     found, fractions, runs = {}, [], []
     for c, made, old, new, between in zip(comparisons, after, *ahead, repeats(data.runs), strict=True):

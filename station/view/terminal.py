@@ -93,11 +93,12 @@ def _print_ahead(found: Diagnosis, console: Console) -> None:
     rows = []
     for row in found.gain.runs:
         gains = [row.ahead.get(time) for time in times]
-        cells = ["–" if g is None else wording.percent(g.nrmse_before)
-                 + (f" → {wording.percent(g.nrmse_after)}" if found.causes else "") for g in gains]
+        cells = ["–" if g is None else f"{wording.percent(g.nrmse_before)} → {wording.percent(g.nrmse_after)}"
+                 for g in gains]
         told = [wording.step_words(row.measured, row.repeats), *map(wording.step_words, (row.before, row.after))]
         rows.append((row.run, *cells, *(told if steps else ())))
-    console.print(_table("Angle predicted ahead" + ("; overshoot, rise and settling time" if steps else ""),
+    console.print(_table(f"Error of the angle predicted ahead, before → {'after' if found.causes else 're-fitted'}"
+                         + ("; overshoot, rise and settling time" if steps else ""),
                          columns + (["measured", "before", "after"] if steps else []), rows))
 
 

@@ -274,7 +274,7 @@ def test_runs_that_differ_are_told_beside_the_causes_run_by_run() -> None:
     differ = replace(found, diagnosis=found.diagnosis.model_copy(update={"between_runs": between}))
     text, out = Page(report_html(differ)).text, io.StringIO()
     assert (f"more or less by 14 % of its command, from −15 % in {names[0]} to 25 % in {names[4]} (91 % probable, "
-            "shown by all resamples) and by 0.98 counts, from 0") in text
+            "shown by all resamples) and by 0.98 counts of command, from 0") in text
     assert f"to 1.0 in {names[4]} (88 % probable, shown by 93 % of the resamples), as no cause" in text
     assert f"{names[1]} −5.0 % 0.25" in text and f"{names[4]} 25 % 1.0" in text
     print_diagnosis(differ, Console(file=out, width=400))

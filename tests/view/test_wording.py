@@ -11,6 +11,7 @@ from rich.console import Console
 
 from station.diagnose.equivalences import TABLE
 from station.diagnose.result import (
+    BetweenRuns,
     Cause,
     ChannelGain,
     Diagnosis,
@@ -223,6 +224,10 @@ def test_what_is_unexplained_says_how_much(share: float, words: str) -> None:
     missing = Disturbance(nominal=0.2, refitted=share, extended=share)
     said = wording.verdict_sentence(found.diagnosis.model_copy(update={"disturbance": missing}), found.rig)
     assert words in said
+    runs = BetweenRuns(constant=2.5, probability={"constant": 0.91}, stability={"constant": 1.0})
+    differ = found.diagnosis.model_copy(update={"disturbance": missing, "between_runs": runs})
+    assert ("wrong: from run to run the motor does more or less by itself. With that and its constants re-fitted" in
+            wording.verdict_sentence(differ, found.rig))
     none = wording.verdict_sentence(found.diagnosis.model_copy(update={"disturbance": None}), found.rig)
     assert none.startswith("The simulation gets something wrong, and no cause known here")
 

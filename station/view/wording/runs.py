@@ -10,6 +10,13 @@ if TYPE_CHECKING:
     from station.diagnose.result import Diagnosis
 
 
+def differing(diagnosis: Diagnosis) -> str:
+    """That the runs differ by themselves, as a clause; empty where they do not."""
+    found = diagnosis.between_runs
+    where = "from one half of the run to the other" if len(diagnosis.runs) == 1 else "from run to run"
+    return f"{where} the motor does more or less by itself" if found is not None and found.probability else ""
+
+
 def between_runs(diagnosis: Diagnosis) -> str:
     """In what the runs differ by themselves, each with how probable it is and how many resamples show it, as a
     sentence; empty where they do not."""
@@ -17,7 +24,7 @@ def between_runs(diagnosis: Diagnosis) -> str:
     if found is None or not found.probability:
         return ""
     told = {"share": (f"{percent(found.share)} of its command", percent),
-            "constant": (f"{number(found.constant, 2)} counts", lambda value: number(value, 2))}
+            "constant": (f"{number(found.constant, 2)} counts of command", lambda value: number(value, 2))}
     parts = []
     for name, (size, worded) in told.items():
         if name in found.probability:

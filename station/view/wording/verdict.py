@@ -9,6 +9,7 @@ from station.diagnose.thresholds import STABLE, SURE
 from station.estimation.cause import constant_path, is_constant
 from station.view.wording.names import LATENCY, cause_title, constant_title, joined
 from station.view.wording.numbers import number, percent, unit_of
+from station.view.wording.runs import differing
 
 if TYPE_CHECKING:
     from station.diagnose.result import Cause, Diagnosis
@@ -32,7 +33,7 @@ def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
     if diagnosis.verdict == "ambiguous" and causes:
         return _ambiguous(diagnosis, rig)
     if diagnosis.verdict == "unexplained" and diagnosis.disturbance is not None:
-        return _unexplained(diagnosis.disturbance.refitted)
+        return _unexplained(diagnosis.disturbance.refitted, differing(diagnosis))
     return {"unexplained": "The simulation gets something wrong, and no cause known here is named by most resamples "
                            "of these runs and helps on runs that no fit has seen.",
             "nothing_missing": "Nothing is missing: the simulation agrees with these runs to within noise and "
@@ -61,14 +62,15 @@ def _accusation(causes: Sequence[Cause], rig: Rig) -> str:
     return " and ".join(parts)
 
 
-def _unexplained(missing: float) -> str:
-    """``missing``: torque, a share of the command's, that the re-fitted rig lacks."""
+def _unexplained(missing: float, differ: str) -> str:
+    """``missing``: torque, a share of the command's, that the re-fitted rig lacks; ``differ``: how runs do."""
     share = f"a torque of {percent(missing)} of the command's"
-    if missing < SMALL:
-        return ("The simulation gets something wrong, but little: with its constants re-fitted all that is left is "
-                f"{share}, which no law of the catalogue describes.")
-    return (f"The simulation gets something wrong: with its constants re-fitted {share} is still missing, and no cause "
-            "known here is named by most resamples of these runs and helps on runs that no fit has seen.")
+    little = ", but little" if missing < SMALL and not differ else ""
+    begin = f": {differ}. With that and" if differ else f"{little}: with"
+    ends = (f"all that is left is {share}, which no law of the catalogue describes." if missing < SMALL else
+            f"{share} is still missing, and no cause known here is named by most resamples of these runs and helps on "
+            "runs that no fit has seen.")
+    return f"The simulation gets something wrong{begin} its constants re-fitted {ends}"
 
 
 def _ambiguous(diagnosis: Diagnosis, rig: Rig) -> str:
