@@ -102,7 +102,7 @@ def held_alike(result: DiagnosisResult) -> list[Simulation]:
         for _ in range(ROUNDS):
             weighing = replace(weighing_of(predictor, found), differ=(0.0, 0.0))
             found = fit(predictor, found.space, weighing, found.x, found.own, to_the_end=True)
-        return predict_unseen(predictor, leave_each_out(predictor, found.weighing, found, far=True))[0]
+        return predict_unseen(predictor, found, leave_each_out(predictor, found.weighing, found, far=True))[0]
 
 
 def arm_table(result: DiagnosisResult) -> None:

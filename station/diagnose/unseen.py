@@ -66,19 +66,19 @@ def unseen(search: Selection, finding: Finding, said: list[Fit]) -> Unseen:
     """Judge the causes that are said and the rig alone by each run with the fits that left it out; ``said``: those of
     the causes."""
     predictor, nothing, causes = search.predictor, search.fits[frozenset()], finding.said.causes
-    unfitted = [nominal(predictor.data, nothing)] * len(predictor.data.runs)
+    unfitted = nominal(predictor.data, nothing)
     left_out = {causes: said}
     if causes:
         left_out[frozenset()] = leave_each_out(predictor, search.own_weighing(nothing), nothing,
                                                far=not finding.left.is_noise)
     alone = left_out[frozenset()]
-    refit, refit_ahead = predict_unseen(predictor, alone)
+    refit, refit_ahead = predict_unseen(predictor, nothing, alone)
     densities = {keys: log_densities(predictor, search.compared, fits) for keys, fits in left_out.items()}
     gains = densities[causes] - densities[frozenset()]
     relieved = (relief(alone, said) + search.clock_score(finding.fit.space.hypothesis)
                 - search.clock_score(nothing.space.hypothesis))
-    before, before_ahead = predict_unseen(predictor, unfitted)
-    after, after_ahead = predict_unseen(predictor, said) if causes else (refit, refit_ahead)
+    before, before_ahead = predict_unseen(predictor, unfitted, [unfitted] * len(alone))
+    after, after_ahead = predict_unseen(predictor, finding.fit, said) if causes else (refit, refit_ahead)
     against = contradicted(gains, relieved) or missed_by_more(predictor.data, before, after)
     holding = said
     if against and not finding.left.is_noise:

@@ -58,16 +58,8 @@ def whole_run(data: Dataset, model: Model, run: int, own: np.ndarray, *, roundin
 
 def settled_run(data: Dataset, model: Model, run: int, own: np.ndarray, differ: tuple[float, float] = (0.0, 0.0),
                 zero: float = 0.0, place: float = 0.0) -> Simulation:
-    """The same with what suits the run best of what it has of its own (``suited``), as the device would have read it.
-    """
-    own = suited(data, model, run, own, differ, zero, place)
-    return whole_run(data, model, run, own, zero=zero, place=place)
-
-
-def suited(data: Dataset, model: Model, run: int, own: np.ndarray, differ: tuple[float, float], zero: float,
-           place: float) -> np.ndarray:
-    """(4) what suits a run best of what it has of its own, by two Gauss-Newton steps; ``differ`` as ``Weighing`` has
-    it."""
+    """The same with what suits the run best of what it has of its own (two Gauss-Newton steps), as the device would
+    have read it; ``differ`` as ``Weighing`` has it."""
     moves = np.isin(data.free, np.flatnonzero([True, True, *(size > 0.0 for size in differ)]))
     free, prior = data.free[moves], nuisance_precision(data, differ)[run][moves]
     scale = np.sqrt(data.records[run].share) / data.sigma[:, None]
@@ -90,7 +82,7 @@ def suited(data: Dataset, model: Model, run: int, own: np.ndarray, differ: tuple
             break
         own[free] += step
         own[0] = np.clip(own[0], first[0] - data.rig.angle_per_count, first[0] + data.rig.angle_per_count)
-    return own
+    return whole_run(data, model, run, own, zero=zero, place=place)
 
 
 def nominal(data: Dataset, found: Fit) -> Fit:
@@ -119,20 +111,24 @@ def leave_each_out(predictor: Predictor, weighing: Weighing, found: Fit, *, far:
     return list(predictor.pool.map(without, range(len(predictor.data.runs))))
 
 
-def predict_unseen(predictor: Predictor, left_out: Sequence[Fit],
+def predict_unseen(predictor: Predictor, found: Fit, left_out: Sequence[Fit],
                    ) -> tuple[list[Simulation], list[dict[str, float]]]:
-    """Every run by the fit that left it out (exact model), with what suits it best of what it has of its own: simulated
-    as a whole (whole counts), and the encoder's nrmse of predictions AHEAD seconds ahead."""
+    """Every run by the fit that left it out (exact model): simulated as a whole (whole counts), and the encoder's nrmse
+    of predictions AHEAD seconds ahead.
+
+    What a run has of its own no other run can say: a simulation takes what suits it best, predictions what the fit of
+    all runs (``found``) has it for.  In a closed loop a gain of its own hardly shows, and what suits that best need not
+    suit them.
+    """
     data = predictor.data
     watched = observers(data.rig, data.noise[0], AHEAD)
 
     def one(r: int) -> tuple[Simulation, dict[str, float]]:
         left, record = left_out[r], data.records[r]
-        model = build(left.space.rig_at(left.x))
-        zero, place = left.space.zero(left.x, record.zero_group), left.space.place(left.x, r)
-        own = suited(data, model, r, left.own[r], left.weighing.differ, zero, place)
-        made, _ = predict_run(data, model, watched, r, own, zero=zero, place=place)
-        return (whole_run(data, model, r, own, zero=zero, place=place),
+        model, zero = build(left.space.rig_at(left.x)), left.space.zero(left.x, record.zero_group)
+        place = left.space.place(left.x, r)
+        made, _ = predict_run(data, model, watched, r, found.own[r], zero=zero, place=place)
+        return (settled_run(data, model, r, left.own[r], left.weighing.differ, zero, place),
                 {f"{seconds:g} s": nrmse(record.run.encoder[record.window], angle[record.window])
                  for seconds, angle in zip(AHEAD, made[:, 0], strict=True)})
     made, ahead = zip(*predictor.pool.map(one, range(len(data.runs))), strict=True)

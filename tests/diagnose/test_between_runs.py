@@ -43,7 +43,7 @@ def test_a_supply_that_differs_is_told_run_by_run_and_nothing_is_named_for_it(hi
     told, true = 1.0 + np.array([row.share for row in between.runs]), 1.0 + np.array(SHARES)
     assert told / told.mean() == pytest.approx(true / true.mean(), abs=0.03)
     assert said.disturbance is not None and said.disturbance.extended < 0.03 < said.disturbance.nominal
-    assert all(row.ahead["1 s"].nrmse_after < 0.03 < row.ahead["1 s"].nrmse_before for row in said.gain.runs)
+    assert all(row.ahead["1 s"].nrmse_after < 0.25 * row.ahead["1 s"].nrmse_before for row in said.gain.runs)
     words = wording.between_runs(said)
     assert between.runs[3].run in words and between.runs[0].run in words
 
