@@ -263,7 +263,8 @@ class _Page:
         """How a run was made, in words."""
         run, facts = comparison.run, comparison.run.metadata
         return {"began": str(facts.entries().get("began") or "")[:16].replace("T", " "),
-                "test": wording.test_words(facts.test), "controller": wording.test_words(facts.controller),
+                "test": wording.test_words(facts.test) if facts.test else "test not stated",
+                "controller": wording.test_words(facts.controller),
                 "samples": f"{len(run.t)} at {run.sample_rate:.0f} Hz", "start": facts.start,
                 "use": "held out" + ("" if comparison.seconds_ahead is None else
                                         f", predicted {comparison.seconds_ahead:g} s ahead")}
