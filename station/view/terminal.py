@@ -88,7 +88,7 @@ def _print_ahead(found: Diagnosis, console: Console) -> None:
     times = wording.ahead_times(found)
     if not times:
         return
-    steps = wording.any_step(found)
+    steps, new = wording.any_step(found), "after" if found.causes else "re-fitted"
     columns = ["run", *(f"{time} ahead" for time in times)]
     rows = []
     for row in found.gain.runs:
@@ -97,9 +97,9 @@ def _print_ahead(found: Diagnosis, console: Console) -> None:
                  for g in gains]
         told = [wording.step_words(row.measured, row.repeats), *map(wording.step_words, (row.before, row.after))]
         rows.append((row.run, *cells, *(told if steps else ())))
-    console.print(_table(f"Error of the angle predicted ahead, before → {'after' if found.causes else 're-fitted'}"
+    console.print(_table(f"Error of the angle predicted ahead, before → {new}"
                          + ("; overshoot, rise and settling time" if steps else ""),
-                         columns + (["measured", "before", "after"] if steps else []), rows))
+                         columns + (["measured", "before", new] if steps else []), rows))
 
 
 def _table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
