@@ -112,7 +112,8 @@ class Gain(_Table):
 
 
 class Disturbance(_Table):
-    """Standard deviation of the torque that is missing at the motor, as a share of the command's rms torque."""
+    """Standard deviation of the torque that is missing at the motor, as a share of the command's rms torque; re-fitted
+    and extended, without what the motor does more or less in each run by itself."""
 
     nominal: float
     refitted: float
