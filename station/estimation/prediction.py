@@ -11,6 +11,7 @@ direct method (Ljung 1999, section 13.4).
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -118,7 +119,7 @@ def _predicted(data: Dataset, model: Model, observers: Sequence[Observer], logs:
     out: np.ndarray = np.empty(blocks * logs.command.size)
     used = [*observers, data.finder if logs.finding.any() else observers[0]]
     fresh = tuple(np.array(rows) for rows in zip(*((s.z, s.effects, s.last) for s in starts), strict=True))
-    about = in_motion(data, model)
+    about = in_motion(data, model) if any(math.isfinite(one.horizon) for one in used) else ()
     states, torques, decays, angles = zip(*(correction(o, model, about) for o in used), strict=True)
     late = np.zeros((len(used), max(a.size for a in angles)))
     for row, angle in zip(late, angles, strict=True):

@@ -24,8 +24,8 @@ NEWTON = 8
 """Steps of Newton's method."""
 SOFTEST = 0.05
 """Share of a joint's stiffness below which its own effects are not taken to make it softer."""
-NEAREST, PLACES = 1e-5, 512
-"""Smallest deflection at which a joint's torque is worked out, of the largest, and at how many: 2 % apart."""
+PLACES = np.geomspace(1e-5, 1.0, 512)
+"""Deflections at which a joint's torque is worked out, shares of the largest: 2 % apart."""
 
 
 def effective_command(rig: Rig, command: np.ndarray) -> np.ndarray:
@@ -134,10 +134,10 @@ def equivalent_stiffness(rig: Rig, at: str, torque: np.ndarray) -> float:
     that softens is deflected no further than to where it carries most.
     """
     softest = SOFTEST * getattr(rig, at).stiffness
-    places, compliance = np.max(np.abs(torque)) / softest * np.geomspace(NEAREST, 1.0, PLACES), np.zeros(len(torque))
-    for way in (1.0, -1.0):
-        carried = way * joint_torque(rig, at, way * places, np.zeros(PLACES), rig.period)
-        end = PLACES - int(np.argmax(carried[::-1]))
+    places, compliance = np.max(np.abs(torque)) / softest * PLACES, np.zeros(len(torque))
+    both = joint_torque(rig, at, np.concatenate([places, -places]), np.zeros(2 * len(places)), rig.period)
+    for way, carried in ((1.0, both[: len(places)]), (-1.0, -both[len(places):])):
+        end = len(places) - int(np.argmax(carried[::-1]))
         here = way * torque > 0.0
         held = np.minimum(way * torque[here], carried[end - 1])
         deflection = np.interp(held, np.maximum.accumulate(carried[:end]), places[:end])
