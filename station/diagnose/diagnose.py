@@ -36,7 +36,7 @@ from station.diagnose.verdict import verdict
 from station.diagnose.wrong import wrong
 from station.errors import UsageError, WorkError
 from station.estimation.answers import answers, refuse_wrong_signs_and_units, unlikely
-from station.estimation.cause import Key
+from station.estimation.cause import Key, is_constant
 from station.estimation.dataset import canonical_order, dataset
 from station.estimation.fitted import Fit
 from station.estimation.least_squares import CANNOT_SIMULATE, DIVERGED
@@ -44,6 +44,7 @@ from station.estimation.loaded import load_compiled
 from station.estimation.observer import observers, torque_gains
 from station.estimation.pool import SIZE, Pool
 from station.estimation.prediction import SEARCH, Predictor, in_motion, predict_run
+from station.model.effects import effect_class
 from station.model.simulate import build
 from station.rig import Rig
 from station.runs.run import Run
@@ -119,6 +120,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     choice = cache(partial(_chosen, search, finding.odds, decision))
     decided = decision in ("explained", "nothing_missing") and len(given) >= FEW
     ranked = ranking(search, told, finding, judged)
+    alike = [words for name, _ in order if not is_constant(name) and (words := effect_class(name).alike)]
     diagnosis = Diagnosis(
         verdict=decision, wrong=wrong(comparisons, data.noise), causes=causes,
         gain=gain(data, comparisons, judged.simulations[2], judged.ahead),
@@ -135,7 +137,8 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     report("done", 1.0)
     return DiagnosisResult(diagnosis, rig, refit_rig, extended, comparisons, ranked, draw, constants,
                            notes(rig, search, finding, judged), choose=choice,
-                           equivalences=[row.equivalence.sentence for row in known] if causes else [], amiss=amiss)
+                           equivalences=[*(row.equivalence.sentence for row in known), *alike] if causes else [],
+                           amiss=amiss)
 
 
 def _chosen(search: Selection, odds: Odds, decision: Verdict) -> Choice:

@@ -13,6 +13,7 @@ import pytest
 
 from station.diagnose.diagnose import diagnose
 from station.diagnose.result import Diagnosis
+from station.model.effects import effect_class
 from station.rig import Rig
 from station.view import wording
 from tests.truth import RIGID_AXIS, make_case
@@ -62,9 +63,11 @@ def test_where_a_cause_leaves_only_noise_no_difference_between_runs_stands_for_i
                                                                                  ) -> None:
     """A gain or a bias of each run's own does much the same to each run, and costs what any one cause does."""
     case = make_case(seed, [hidden], nominal=RIGID_AXIS, count=6, band=(170.0, 400.0))
-    said = diagnose(Rig.model_validate(RIGID_AXIS), case.runs, effort="quick").diagnosis
+    found = diagnose(Rig.model_validate(RIGID_AXIS), case.runs, effort="quick")
+    said, alike = found.diagnosis, effect_class(hidden[0]).alike
     assert said.verdict == "explained" and [(c.effect, c.at) for c in said.causes] == [hidden]
     assert said.between_runs is not None and not said.between_runs.runs
+    assert found.equivalences == ([alike] if alike else []) and bool(alike) is (hidden[0] == "command_bias")
 
 
 @pytest.mark.parametrize("shares", [(0.5, 1.6, 0.7, 1.3, 0.9), pytest.param((1.0,) * 5, marks=pytest.mark.long)])

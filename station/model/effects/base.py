@@ -145,6 +145,8 @@ class Effect(BaseModel):
     """The test that tells it from its rivals best; empty where none of the station's can."""
     telling: ClassVar[str] = ""
     """What in that test tells it from its rivals, which it names by title or constant; part of a sentence."""
+    alike: ClassVar[str] = ""
+    """What, of things that are no effect here, does just the same, if anything; a sentence."""
 
     at: str
 

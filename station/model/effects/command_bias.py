@@ -19,8 +19,9 @@ class CommandBias(Effect):
     picture = "time"
     experiment: ClassVar = {"kind": "step", "amplitude": 30, "controller": "p"}
     telling = ("the arm stands off by the same torque at every angle; a cable spring and gravity by tilt depend on "
-               "the angle, gain asymmetry on the size of the command. Any constant torque does the same: a weight "
-               "on a linear axis; or half of what friction one way differs by from friction the other way")
+               "the angle, gain asymmetry on the size of the command")
+    alike = ("Any other constant torque does what a command bias does: a weight on a linear axis, or half of what "
+             "friction one way differs by from friction the other way.")
 
     offset: float = parameter("counts", -1000.0, 1000.0, neutral=0.0)
 
