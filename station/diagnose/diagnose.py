@@ -200,5 +200,5 @@ def _disturbance(predictor: Predictor, fits: Sequence[Fit]) -> Disturbance:
             missing += float(torque @ torque) - noise * float(data.sigma[0] ** 2) * len(torque)
             command += float(given @ given)
         return float(np.sqrt(max(missing, 0.0) / max(command, 1e-300)) / shown)
-    nominal, refitted, extended = predictor.pool.map(share, [one.light for one in fits])
-    return Disturbance(nominal=nominal, refitted=refitted, extended=extended)
+    shares = predictor.pool.map(share, [one.light for one in fits])
+    return Disturbance(**dict(zip(Disturbance.model_fields, shares, strict=True)))

@@ -241,8 +241,7 @@ def _carried(rig: Rig, runs: Sequence[Run]) -> dict[str, np.ndarray]:
         moved = simulate_model(model, replace(run, metadata=RunMetadata()), states=True).states
         assert moved is not None
         for at, torques in found.items():
-            one, other = model.assembly.sides(at)
-            torques.append(getattr(rig, at).stiffness * (moved[:, one] - moved[:, other]))
+            torques.append(getattr(rig, at).stiffness * (moved @ model.assembly.rotation(at)))
     joined = {at: np.concatenate(torques) for at, torques in found.items()}
     return {at: torque[_evenly(torque)] for at, torque in joined.items() if torque.any()}
 

@@ -277,9 +277,8 @@ def _about(model: Model, blocks: np.ndarray, about: Slopes, decay: float) -> tup
     held = np.zeros((size + 1, size + 1))
     held[:size, :size], held[:size, size] = dense(form.rates()), model.per_count[kept]
     for at, slope in about:
-        one, other = parts.sides(at)
-        on = parts.unit(one) if other is None else parts.unit(one) - parts.unit(other)
-        by = form.basis[n + one] if other is None else form.basis[other] - form.basis[one]
+        on = parts.rotation(at)
+        by = on @ form.basis[n:] if at in ("motor", "base") else -on @ form.basis[:n]
         held[:size, :size] += np.outer(form.inverse[:, n:] @ np.linalg.solve(parts.mass, on), slope * by)
     f = scipy.linalg.expm(_period(model) * held)
     enters = np.append(f[:size, size], 1.0)

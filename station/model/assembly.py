@@ -39,17 +39,20 @@ class Assembly:
         """Number of coordinates."""
         return self.mass.shape[0]
 
-    def sides(self, at: str) -> tuple[int, int | None]:
-        """The coordinates of a part (motor, base), one, or of the two sides of a joint (drive, clamp)."""
-        found = {"motor": (self.motor, None), "base": (self.base, None),
-                 "drive": (self.motor, self.base), "clamp": (self.base, self.root)}
-        return found[at]
-
     def unit(self, index: int) -> np.ndarray:
         """The vector (n) that picks one coordinate: a torque on it, or its rotation."""
         vector = np.zeros(self.size)
         vector[index] = 1.0
         return vector
+
+    def rotation(self, at: str) -> np.ndarray:
+        """The rotation (n) of a part (motor, base), or of a joint (drive, clamp): of its first side less that of its
+        second; by virtual work also the generalised torque of one N m there."""
+        if at == "clamp" and self.root is not None:
+            return self.unit(self.base) - self.unit(self.root)
+        if at == "drive":
+            return self.unit(self.motor) - self.unit(self.base)
+        return self.unit({"motor": self.motor, "base": self.base}[at])
 
 
 def assemble(rig: Rig) -> Assembly:
@@ -120,9 +123,9 @@ def strain(rig: Rig) -> np.ndarray:
     """
     parts = assemble(rig)
     rows = []
-    for joint, one, other in ((rig.drive, parts.motor, parts.base), (rig.clamp, parts.base, parts.root)):
+    for at, joint in (("drive", rig.drive), ("clamp", rig.clamp)):
         if joint is not None:
-            rows.append(np.sqrt(joint.stiffness) * (parts.unit(one) - parts.unit(other)))
+            rows.append(np.sqrt(joint.stiffness) * parts.rotation(at))
     if rig.beam is not None:
         count = rig.beam.elements
         element = element_strain(rig.beam.flexural_rigidity, rig.beam.length / count)

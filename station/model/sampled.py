@@ -81,7 +81,7 @@ def _linear(tables: _Tables, ports: tuple[str, ...], h: float, substeps: int, sw
             beside: Linear | None) -> tuple[Linear, dict[str, Any]]:
     rig = tables.rig
     parts, whole = _decoupled(_Tables(rig, moving=True), beside)
-    n, rotations = parts.size, _rotations(parts, ports)
+    n, rotations = parts.size, np.stack([parts.rotation(at) for at in ("base", *ports)])
     inputs = rotations.T.copy()
     inputs[:, 0] = rig.motor.gain * parts.unit(parts.motor)
     forces = whole.inverse[:, n:] @ np.linalg.solve(parts.mass, inputs)
@@ -100,20 +100,6 @@ def _linear(tables: _Tables, ports: tuple[str, ...], h: float, substeps: int, sw
         "tip_acceleration": tip_acceleration, "tip_feedthrough": through[0], "port_angle": angles[1:],
         "port_speed": speeds[1:], "port_held": held[1:], "port_tip": through[1:], "angle_gain": angle_gain,
         "speed_gain": speed_gain, "moment": moment, "moment_gain": moment_gain, "counts_per_acceleration": gain}
-
-
-def _rotations(parts: Assembly, ports: tuple[str, ...]) -> np.ndarray:
-    """(1 + p, n) the base's rotation and that of each port, which is, by virtual work, the generalised torque of one
-    N m there."""
-    ends = {"motor": (parts.motor, None), "base": (parts.base, None), "drive": (parts.motor, parts.base),
-            "clamp": (parts.base, parts.root)}
-    rotations = np.zeros((1 + len(ports), parts.size))
-    for rotation, port in zip(rotations, ("base", *ports), strict=True):
-        one, other = ends[port]
-        rotation[one] += 1.0
-        if other is not None:
-            rotation[other] -= 1.0
-    return rotations
 
 
 def _truncate(rig: Rig, ports: tuple[str, ...], form: ModalForm, forces: np.ndarray, angles: np.ndarray,

@@ -52,14 +52,8 @@ class Motion(NamedTuple):
 
 def port_vector(rig: Rig, parts: Assembly, at: str) -> np.ndarray:
     """Generalised torque of 1 N m (tip: force of 1 N) at a place, and the motion that it works on, by virtual work."""
-    if at == "motor":
-        return parts.unit(parts.motor)
-    if at == "base":
-        return parts.unit(parts.base)
-    if at == "drive" and rig.drive is not None:
-        return parts.unit(parts.motor) - parts.unit(parts.base)
-    if at == "clamp" and rig.clamp is not None and parts.root is not None:
-        return parts.unit(parts.base) - parts.unit(parts.root)
+    if at in ("motor", "base") or at in ("drive", "clamp") and getattr(rig, at) is not None:
+        return parts.rotation(at)
     if at == "tip" and parts.tip is not None:
         return parts.unit(parts.tip)
     raise UsageError(f"missing torque at {at!r}: rig {rig.name} has no such place")

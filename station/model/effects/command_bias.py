@@ -20,8 +20,8 @@ class CommandBias(Effect):
     experiment: ClassVar = {"kind": "step", "amplitude": 30, "controller": "p"}
     telling = ("the arm stands off by the same torque at every angle; a cable spring and gravity by tilt depend on "
                "the angle, gain asymmetry on the size of the command")
-    alike = ("Any other constant torque does what a command bias does: a weight on a linear axis, or half of what "
-             "friction one way differs by from friction the other way.")
+    alike = ("Any other constant torque on the motor does what a command bias does: a weight on a linear axis, or half "
+             "of what friction one way differs by from friction the other way.")
 
     offset: float = parameter("counts", -1000.0, 1000.0, neutral=0.0)
 
