@@ -605,3 +605,31 @@ def test_a_law_with_special_cases_is_them_where_it_says_so(cls):
         for speed in (0.0, 0.1, 0.7, 5.0):
             theirs = other.law(speed, 0.0, 0.0, [0.3] * len(its), [], 1e-3)
             assert cls.law(speed, 0.0, 0.0, p, [], 1e-3) == pytest.approx(theirs)
+
+
+@pytest.mark.parametrize("others", [(), (("dead_zone", {"width": 20.0}), ("gain_curve", {"exponent": 0.3}))], ids=str)
+def test_a_command_bias_is_a_constant_torque_on_the_motor(rig, others):
+    """So it is told with what is one, too (``alike``): at the amplifier's limit as well, and behind a dead zone."""
+    beside = [effect_class(name)(at="amplifier", **values) for name, values in others]
+    t = np.arange(1500) / rig.sample_rate
+    command = 1.5 * rig.amplifier.limit * np.sin(9.0 * t)
+    run = Run("x", t, command, command, 0.0 * t, None, RunMetadata(controller={"kind": "open"}))
+    bias = effect_class("command_bias")(at="amplifier", offset=8.0)
+
+    def angle(effects: list[Effect], constant: float) -> np.ndarray:
+        return simulate_model(build(rig.with_effects(effects)), run, rounding=False, more=(0.0, constant)).encoder
+
+    biased = angle([*beside, bias], 0.0)
+    np.testing.assert_allclose(biased, angle(beside, 8.0), atol=1e-6)
+    assert np.abs(biased - angle(beside, 0.0)).max() > 10.0 and np.abs(biased - angle(beside, -8.0)).max() > 10.0
+    assert "constant torque on the motor" in bias.alike
+
+
+@pytest.mark.parametrize(("counts", "leads"), [(628318.5, 5), (1024.0, 0)])
+def test_a_ball_screws_turns_are_among_the_ripples_of_an_axis_in_metres(rig, counts, leads):
+    """As far as its encoder shows them."""
+    axis = rig.with_constants({"encoder.counts_per_revolution": counts})
+    cycles = {guess["cycles"] for guess in effect_class("torque_ripple").guesses(axis, "motor")}
+    found = [lead for lead in (0.04, 0.02, 0.01, 0.005, 0.0025) if np.isclose(list(cycles), 2.0 * math.pi / lead).any()]
+    assert len(found) == leads
+    assert all(effect_class("torque_ripple")(at="motor", amplitude=0.1, cycles=one, phase=0.0) for one in cycles)
