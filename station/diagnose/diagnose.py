@@ -84,7 +84,6 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     predictor = Predictor(data, observers(data.rig, data.noise[0]), pool, *EFFORTS[effort].accuracies)
     answered = answers(predictor)
     refuse_wrong_signs_and_units(answered)
-    amiss += unlikely(answered)
     try:
         search = select(predictor, EFFORTS[effort], report)
     except DIVERGED:
@@ -116,6 +115,8 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
                                  data.records[k].window, shown.space.zero(shown.x, data.records[k].zero_group))
                    for k, (run, before, refit, after, part) in enumerate(
                        zip(runs, *judged.simulations, parts, strict=True))]
+    acting = predictor.on(replace(data, rig=data.rig.with_effects(extended.effects)))
+    amiss += unlikely(answered, answers(acting) if causes else ())
     report("choosing the next experiment", 0.96)
     choice = cache(partial(_chosen, search, finding.odds, decision))
     decided = decision in ("explained", "nothing_missing") and len(given) >= FEW

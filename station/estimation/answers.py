@@ -13,6 +13,7 @@ answer the readings, and g is that loop's.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -114,17 +115,28 @@ def _sign_is_sure(found: list[Answer], reading: str) -> bool:
     return abs(float(np.median([one.sureness for one in found if one.reading == reading]))) > CORRELATED
 
 
-def unlikely(found: list[Answer]) -> list[str]:
+def unlikely(found: Sequence[Answer], explained: Sequence[Answer] = ()) -> list[str]:
     """A sentence for each reading that answers most runs much more or less than the rig file says, or else for each run
-    of which it does."""
+    of which it does.
+
+    ``explained``: the answers of the rig with the effects that are stated.  What answers as that says needs no unit.
+    """
     said = []
     for reading in READINGS:
-        sure = [one for one in found if one.reading == reading and one.sureness > CORRELATED]
+        sure, again = ([one for one in rows if one.reading == reading and one.sureness > CORRELATED]
+                       for rows in (found, explained))
         if not sure:
             continue
-        usual = Answer("", reading, float(np.median([one.gain for one in sure])), 1.0)
-        for one in [usual] if usual.off_by(SUSPECT) else [one for one in sure if one.off_by(SUSPECT)]:
+        usual = _usual(sure)
+        met = {one.run for one in [*again, *([_usual(again)] if again else [])] if not one.off_by(SUSPECT)}
+        off = [one for one in [usual, *sure] if one.off_by(SUSPECT) and one.run not in met]
+        for one in [usual] if usual in off else off:
             where, others = (f"{one.run}: ", f", of the other runs {usual.gain:.2g} times") if one.run else ("", "")
             said.append(f"{where}the {reading} answers the commands {one.gain:.2g} times as much as the rig file "
                         f"says{others}; if that is a unit or a scale ({SCALES[reading]}), mend it")
     return said
+
+
+def _usual(sure: Sequence[Answer]) -> Answer:
+    """How one reading answers in most of the runs."""
+    return Answer("", sure[0].reading, float(np.median([one.gain for one in sure])), 1.0)

@@ -11,9 +11,10 @@ import pytest
 from station.errors import WorkError
 from station.estimation.answers import CORRELATED, SUSPECT, Answer, answers, refuse_wrong_signs_and_units, unlikely
 from station.fit import fit
+from station.model.effects.coulomb_friction import CoulombFriction
 from station.rig import Rig
 from station.runs.run import Run
-from tests.estimation.made import predictions
+from tests.estimation.made import AXIS, predictions, run_of
 from tests.truth import RIGID_AXIS, SERVO, SFLR, TWO_MASS
 from tests.truth.cases import make_case
 
@@ -92,6 +93,18 @@ def test_one_log_of_another_unit_is_told_by_its_name() -> None:
     given = [*runs[:-1], *altered(runs[-1:], encoder=1.0 / 11.0)]
     (sentence,) = unlikely(answers(predictions(rig, given)))
     assert sentence.startswith(f"{runs[-1].name}: the angle") and "of the other runs" in sentence
+
+
+def test_what_friction_explains_is_no_unit() -> None:
+    """A slow test of an axis that rubs answers a fifth of its commands, but not one of another unit."""
+    rubbing = AXIS.with_effects([CoulombFriction(at="motor", torque=0.5 * 40.0 * AXIS.motor.gain)])
+    runs = [run_of(rubbing, 40.0, "p1", "slow"), *(run_of(rubbing, size, "p2", f"{size}") for size in (300.0, 200.0))]
+    (sentence,) = unlikely(answers(predictions(AXIS, runs)))
+    assert sentence.startswith("slow: the angle")
+    assert unlikely(answers(predictions(AXIS, runs)), answers(predictions(rubbing, runs))) == []
+    given = [*runs[:-1], *altered(runs[-1:], encoder=1.0 / 11.0)]
+    told = unlikely(answers(predictions(AXIS, given)), answers(predictions(rubbing, given)))
+    assert len(told) == 1 and told[0].startswith(f"{runs[-1].name}: the angle")
 
 
 def test_a_loop_that_holds_a_still_reference_answers_for_nothing() -> None:
