@@ -128,7 +128,7 @@ def resamples(search: Selection) -> np.ndarray:
 def odds(search: Selection) -> Odds:
     """Bagged odds of all fitted sets whose causes may be accused."""
     allowed = [(keys, found) for keys, found in search.fits.items()
-               if all(may_be_accused(search, found, key) for key in keys)]
+               if all(may_be_accused(found, key) for key in keys)]
     whole = np.array([search.score(found) for _, found in allowed])
     near = [k for k in range(len(allowed)) if whole[k] > whole.max() - 2.0 * CLOSE]
     drawn = resamples(search)
@@ -222,25 +222,12 @@ def _odds(found: Sequence[tuple[Causes, float]], stability: dict[Key, float]) ->
     return Odds(sets, causes, sum(p for keys, p in sets if not keys), stability)
 
 
-def deviation(logs: np.ndarray, sigma: float, covariance: np.ndarray, i: int) -> float:
-    """How far constant i of n is from nominal, in its own sigma, given what the others say of a common factor.
-
-    ``logs`` (n): of the constants over nominal; ``covariance`` (n, n): their prior's.
-    """
-    shared = np.flatnonzero((covariance[i] != 0.0) & (np.arange(len(logs)) != i))
-    gain = np.linalg.solve(covariance[np.ix_(shared, shared)], covariance[shared, i])
-    variance = covariance[i, i] - float(gain @ covariance[shared, i])
-    return abs(float(logs[i]) - float(gain @ logs[shared])) / math.sqrt(max(variance, sigma**2))
-
-
-def may_be_accused(search: Selection, found: Fit, key: Key) -> bool:
+def may_be_accused(found: Fit, key: Key) -> bool:
     """Whether a cause may be accused: a constant beyond BEYOND of its own sigma, and an effect of which the runs say
     that its sizes are such as it may have; at the largest they ask for another thing."""
     if not is_constant(key[0]):
         return possible(found, key)
-    rig, path, paths = search.predictor.data.rig, constant_path(key[0]), found.space.paths
-    logs, covariance = found.space.logs(found.x), rig.log_covariance(list(paths))
-    return deviation(logs, rig.sigma(path), covariance, paths.index(path)) > BEYOND
+    return found.space.deviation(found.x, constant_path(key[0])) > BEYOND
 
 
 def possible(found: Fit, key: Key) -> bool:

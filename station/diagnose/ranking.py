@@ -68,7 +68,7 @@ def _lost(search: Selection, found: Odds, finding: Finding, unseen: Unseen, key:
         return Reason("left_out")
     if key in finding.may_be_none:
         return Reason("may_be_none")
-    if not may_be_accused(search, best, key):
+    if not may_be_accused(best, key):
         return Reason("within" if is_constant(key[0]) else "too_large")
     behind = 2.0 * (search.score(search.fits[named]) - search.score(best))
     if key in found.sets[0][0] or behind < 0.0:

@@ -85,6 +85,8 @@ class Selection:
     """The set that it was read off."""
     judging: Weighing | None = None
     """What errors count for where sets are compared, if it is not the same (``judge``)."""
+    found_by: Weighing | None = None
+    """What errors count for where sets are compared and parameters found, if these are not the same (``judge``)."""
     looked_back: Fit | None = None
     """The fit that was last looked back upon."""
     _weighed: WeakKeyDictionary[Fit, tuple[Weighing, float, float]] = field(default_factory=WeakKeyDictionary)
@@ -133,10 +135,11 @@ class Selection:
 
     def _differing(self, found: Fit, may: tuple[bool, bool]) -> tuple[Weighing, float, float]:
         """The same where runs may differ in their share of the command, and in a constant."""
-        weighing = self.compared
+        weighing = self.found_by or self.compared
         own = replace(weighing, differ=found.most_likely_differ(weighing, may))
         price = found.log_narrowing(own) + (LOG_PRIOR if self.complete else 0.0) if any(may) else np.zeros(2)
-        return own, found.log_evidence(own), float(price @ may)
+        own = replace(self.compared, differ=own.differ)
+        return own, found.log_evidence(own, self.found_by), float(price @ may)
 
     def score(self, found: Fit) -> float:
         """Log posterior of a set of causes, up to a constant."""
@@ -147,7 +150,7 @@ class Selection:
     def scores(self, found: Fit, drawn: np.ndarray) -> np.ndarray:
         """(k) the same of resampled stretches, ``drawn`` (k, s)."""
         own, whole, _ = self._own(found)
-        scores = self.score(found) + (found.log_evidences(own, np.array(own.differ), drawn) - whole)
+        scores = self.score(found) + (found.log_evidences(own, np.array(own.differ), drawn, self.found_by) - whole)
         return np.where(np.isfinite(scores), scores, -np.inf)
 
     def clock_score(self, hypothesis: Hypothesis) -> float:
@@ -211,8 +214,9 @@ class Selection:
         """
         if not self.complete:
             best, alone = self.fits[self.weighed_by], self.fits[frozenset()]
-            blocks = self.predictor.longest if ahead_is_noise(self.predictor, best, alone) else self.predictor.ahead
-            self.judging = weighing_of(self.predictor, best, blocks)
+            noise = ahead_is_noise(self.predictor, best, alone)
+            self.judging = weighing_of(self.predictor, best, self.predictor.longest if noise else self.predictor.ahead)
+            self.found_by = self.weighing if noise else None
             self._weighed.clear()
 
     @property

@@ -288,19 +288,23 @@ class Fit(Point):
         """Posterior covariance (p, p) under the fit's own weighing."""
         return np.linalg.pinv(self.normal(self.weighing)[0] + np.diag(self.space.precision), hermitian=True)
 
-    def log_evidence(self, weighing: Weighing) -> float:
+    def log_evidence(self, weighing: Weighing, found_by: Weighing | None = None) -> float:
         """Laplace's approximation of ln p(data | hypothesis), up to a constant of the data.
 
-        Under another weighing one Gauss-Newton step is taken from the fit.
+        Under another weighing one Gauss-Newton step is taken from the fit.  ``found_by``: by what errors say where the
+        parameters are, where some of them say that and no more.
         """
-        return float(self.log_evidences(weighing, np.array(weighing.differ)))
+        return float(self.log_evidences(weighing, np.array(weighing.differ), None, found_by))
 
-    def log_evidences(self, weighing: Weighing, sizes: np.ndarray, drawn: np.ndarray | None = None) -> np.ndarray:
+    def log_evidences(self, weighing: Weighing, sizes: np.ndarray, drawn: np.ndarray | None = None,
+                      found_by: Weighing | None = None) -> np.ndarray:
         """(...) the same where runs differ by ``sizes`` (..., 2) in place of ``weighing.differ`` and stretches count as
         often as ``drawn`` (..., s) says; the two are broadcast."""
         squares, counts, independent = self.drawn(weighing, drawn)
-        (matrices, slopes), own = self._by_run(weighing, drawn), self.own_precision(sizes)
+        (matrices, slopes), own = self._by_run(found_by or weighing, drawn), self.own_precision(sizes)
         step, volume = self._stepped(matrices, slopes, own)
+        if found_by is not None:
+            matrices, slopes = self._by_run(weighing, drawn)
         gained = np.sum(step * (2.0 * slopes - (matrices @ step[..., None])[..., 0]), axis=(-2, -1))
         costs = np.sum(independent * rho(squares / counts), axis=(-2, -1))
         return 0.5 * (volume - (self._strained(step, own) - np.minimum(gained, MOST_GAINED))

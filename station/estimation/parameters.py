@@ -149,6 +149,14 @@ class Parameters:
         """Logarithms of the constants over nominal."""
         return self.root @ x[self.parts["constants"]]
 
+    def deviation(self, x: np.ndarray, path: str) -> float:
+        """How far a constant is from nominal, in its own sigma, given what the others say of a common factor."""
+        logs, i, covariance = self.logs(x), self.paths.index(path), self.rig.log_covariance(list(self.paths))
+        shared = np.flatnonzero((covariance[i] != 0.0) & (np.arange(len(logs)) != i))
+        gain = np.linalg.solve(covariance[np.ix_(shared, shared)], covariance[shared, i])
+        variance = covariance[i, i] - float(gain @ covariance[shared, i])
+        return abs(float(logs[i]) - float(gain @ logs[shared])) / math.sqrt(max(variance, self.rig.sigma(path) ** 2))
+
     def placed(self, x: np.ndarray, logs: np.ndarray) -> np.ndarray:
         """``x`` (p) with the constants where their logarithms over nominal are ``logs`` (n)."""
         x = x.copy()

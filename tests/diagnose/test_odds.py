@@ -9,7 +9,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from station.diagnose import odds as module
 from station.diagnose.odds import (
     RESAMPLES,
     Draws,
@@ -211,16 +210,18 @@ def test_rivals_of_which_each_wins_half_of_the_draws_share_the_odds() -> None:
 @pytest.mark.parametrize(("sigmas", "accused"), [(BEYOND - 0.1, False), (BEYOND + 0.1, True)])
 def test_a_constant_is_accused_beyond_three_of_its_own_sigmas_only(sigmas: float, accused: bool) -> None:
     search = searched({frozenset(): np.zeros(20), frozenset({GAIN}): np.ones(20)})
-    search.predictor.data.rig = SimpleNamespace(constants=lambda: {"motor.gain": 1.0}, sigma=lambda path: 0.1,
-                                                log_covariance=lambda paths: np.array([[0.01]]))
+    space = parameters(SimpleNamespace(rig=AXIS, clock=None, zero_groups=[0], runs=[]), Hypothesis(), {})
     for found in search.fits.values():
-        found.space, found.x = SimpleNamespace(paths=("motor.gain",), logs=lambda x: x), np.array([0.1 * sigmas])
+        logs = 0.1 * sigmas * (np.array(space.paths) == "motor.gain")
+        found.space, found.x = space, space.placed(space.mean, logs)
     assert (GAIN in odds(search).causes) is accused
 
 
 def test_a_common_factor_that_the_others_show_is_no_deviation_of_one() -> None:
-    shared = np.array([[0.0101, 0.01], [0.01, 0.0101]])
-    together, apart = (module.deviation(np.array(logs), 0.01, shared, 0) for logs in ([0.4, 0.4], [0.4, 0.0]))
+    rig = AXIS.model_copy(update={"uncertainty": {"default": 0.01, "motor": 0.1}})
+    space = parameters(SimpleNamespace(rig=rig, clock=None, zero_groups=[0], runs=[]), Hypothesis(), {})
+    together, apart = (space.deviation(space.placed(space.mean, np.where(there, 0.4, 0.0)), "motor.gain")
+                       for there in (np.full(3, True), np.array(space.paths) == "motor.gain"))
     assert together < 1.0 < BEYOND < apart
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,14 +15,17 @@ from station.diagnose.candidates import candidates
 from station.diagnose.screening import Screened
 from station.diagnose.selection import EFFORTS, Selection, _finish, _look_back, leading, taking_in
 from station.diagnose.thresholds import LOG_PRIOR, LOG_PRIOR_PARAMETER
+from station.estimation.cause import constant
+from station.estimation.constants import base_fit
 from station.estimation.least_squares import fit
 from station.estimation.likelihood import Weighing
 from station.estimation.parameters import Hypothesis, clock_sigma, parameters
 from station.estimation.prediction import Predictor
 from station.model.effects import effect_class
-from station.rig import load_rig
+from station.rig import Rig, load_rig
 from station.runs.ticks import CLOCKS
-from tests.estimation.made import AXIS, predictions, runs_of
+from tests.estimation.made import AXIS, predictions, run_of, runs_of
+from tests.truth import TWO_MASS
 
 FRICTION, STRIBECK, CLOCK = ((effect_class(name), at) for name, at in (
     ("coulomb_friction", "motor"), ("stribeck_friction", "motor"), ("clock_scale", "")))
@@ -40,8 +44,8 @@ def found(evidence: float, *effects: tuple, constants: tuple[str, ...] = (), nar
     hypothesis = Hypothesis(effects, constants)
     space = SimpleNamespace(hypothesis=hypothesis, rig=None, coordinates=(), parts={"effects": slice(0, 0)})
     made = Found(space=space, key=hypothesis.key,
-                 log_evidence=lambda weighing: evidence - np.dot(lost, np.equal(weighing.differ, 0.0)),
-                 log_evidences=lambda weighing, sizes, drawn: evidence - np.dot(lost, np.equal(sizes, 0.0)) - drawn,
+                 log_evidence=lambda weighing, found_by: evidence - np.dot(lost, np.equal(weighing.differ, 0.0)),
+                 log_evidences=lambda weighing, sizes, drawn, found_by: evidence - np.dot(lost, np.equal(sizes, 0.0)) - drawn,
                  most_likely_differ=lambda weighing, may: tuple(map(float, may)),
                  log_narrowing=lambda weighing: np.array([narrowed, 0.0]))
     made.light = made
@@ -313,6 +317,34 @@ def test_where_more_than_noise_is_left_the_horizon_that_shows_it_compares(monkey
     search.judge()
     counted = search.compared.independent.sum(axis=0) > 0.0
     assert len(counted) == 2 and counted.tolist() == (predictor.longest if noise else predictor.ahead).tolist()
+    assert search.found_by is (search.weighing if noise else None)
     search = complete(predictor)
     search.judge()
     assert search.compared is search.weighing
+
+
+def test_a_horizon_that_compares_nothing_still_says_where_the_constants_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A load of 1.9 times the inertia in the file, and a slow swing that no model knows: whole runs hold so few
+    independent errors that by them alone the rig's constants go home, and what they were strained by is forgotten."""
+    rig, path = Rig.model_validate(TWO_MASS), "base.inertia"
+    heavy = rig.with_constants({path: 1.9 * rig.base.inertia})
+    runs = [run_of(heavy, size, loop, f"{size}", 2.0) for size, loop in ((90.0, "p2"), (-60.0, "p1"), (60.0, "open"),
+                                                                       (150.0, "p2"))]
+    swings = (np.round(6.0 * np.sin(2.0 * np.pi * 0.7 * run.t + k)) for k, run in enumerate(runs))
+    predictor = predictions(rig, [replace(run, encoder=run.encoder + swing)
+                                  for run, swing in zip(runs, swings, strict=True)])
+    alone = base_fit(predictor)
+    search = Selection(predictor, EFFORTS["quick"], alone.weighing)
+    search.keep(search.weigh(alone))
+    for hypothesis in (Hypothesis(), Hypothesis((), (path,))):
+        space = parameters(predictor.data, hypothesis, {})
+        search.keep(fit(predictor, space, search.weighing, space.carried(alone.space, alone.x), alone.own))
+    monkeypatch.setattr(selection, "ahead_is_noise", lambda predictor, found, alone: True)
+    search.judge()
+    gained = []
+    for weighing in (search.weighing, None):
+        search.found_by = weighing
+        search._weighed.clear()
+        nothing, heavier = (search.score(search.fits[frozenset(keys)]) for keys in ((), [constant(path)]))
+        gained.append(heavier - nothing)
+    assert gained[0] > 3.0 and gained[1] < 1.0

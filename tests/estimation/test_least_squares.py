@@ -11,7 +11,7 @@ from station.estimation.dataset import dataset
 from station.estimation.fitted import Fit, weighing_of
 from station.estimation.identifiability import unseen_with_effects
 from station.estimation.least_squares import _Descent, fit, inherited
-from station.estimation.likelihood import Weighing
+from station.estimation.likelihood import Weighing, rho
 from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
 from station.estimation.pool import Pool
@@ -109,6 +109,17 @@ def test_drawing_every_stretch_once_changes_nothing(fitted: Fit, weighing: Weigh
     assert once == pytest.approx(fitted.log_evidence(weighing), rel=1e-12)
     np.testing.assert_allclose(fitted.blocks(weighing, ones), fitted.blocks(weighing))
     assert twice != pytest.approx(once, rel=1e-3)
+
+
+def test_errors_that_only_say_where_the_parameters_are_cost_nothing(fitted: Fit, weighing: Weighing) -> None:
+    """What they cost is all that is missing, but for what a last step gains: the parameters are known as well."""
+    quick, longest = np.array([True, False]), np.array([False, True])
+    counted, other = (replace(weighing, independent=weighing.independent * blocks) for blocks in (longest, quick))
+    squares, counts, independent = fitted.drawn(other, None)
+    less = 0.5 * float(np.sum(independent * rho(squares / counts))) / weighing.temperature
+    assert less > 10.0
+    assert fitted.log_evidence(counted, weighing) == pytest.approx(fitted.log_evidence(weighing) + less, abs=0.1)
+    assert fitted.log_evidence(weighing, weighing) == pytest.approx(fitted.log_evidence(weighing), rel=1e-12)
 
 
 def test_resamples_and_sizes_are_worked_out_together_as_one_by_one(fitted: Fit, weighing: Weighing) -> None:
