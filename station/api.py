@@ -16,15 +16,13 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-
 from station import rig as rig_module
 from station.control.compensators import Compensator
 from station.control.named import NAMED, OPEN, SAMPLED_AT
 from station.control.references import reference_from_test
 from station.errors import UsageError
 from station.rig import Rig
-from station.runs.run import Run, RunMetadata
+from station.runs.run import Run
 
 if TYPE_CHECKING:
     from station.device.port import Port
@@ -78,12 +76,13 @@ def simulate(rig: AnyRig, test: AnyRun | Mapping[str, Any], controller: Controll
     A closed loop runs from the reference with its own compensator on the model's readings; ``controller`` puts another
     in its place.
     """
+    from station.diagnose.trials import Trial
     from station.model.simulate import limit_of
     from station.model.simulate import simulate as model
 
     described = load_rig(rig)
     if isinstance(test, Mapping):
-        run = _planned(described, dict(test), controller)
+        run = Trial(dict(test), _controller(controller, test, described)).as_run(described)
     else:
         run = load_run(test).filled(described.sample_rate)
         if controller is not None:
@@ -170,13 +169,3 @@ def _controller(asked: Controller | None, test: Mapping[str, Any], rig: Rig) -> 
     if name == "lead-accel" and rig.sample_rate != SAMPLED_AT:
         raise UsageError(f"controller lead-accel: sampled at {SAMPLED_AT:g} Hz, the rig runs at {rig.sample_rate:g} Hz")
     return dict(NAMED[name])
-
-
-def _planned(rig: Rig, test: dict[str, Any], controller: Controller | None) -> Run:
-    """A test that has not been run, as the loop would run it: the answer to a sample acts at the next tick."""
-    reference = reference_from_test(test, rig.sample_rate)
-    spec, still = _controller(controller, test, rig), np.zeros(len(reference))
-    metadata = RunMetadata(rig=rig.name, controller=spec, test=test, command_row=-1)
-    command = np.clip(reference, -rig.command_limit, rig.command_limit) if spec.get("kind") == "open" else still
-    return Run("planned", np.arange(len(reference)) * rig.period, reference, command, still,
-               still if rig.accelerometer is not None else None, metadata)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from station.diagnose.equivalences import completed, rivals, standing, with_word
+from station.diagnose.equivalences import Setting, completed, rivals, standing, with_word
 from station.diagnose.experiment import choose
 from station.diagnose.finding import between_runs, bought, find
 from station.diagnose.logs import as_logged
@@ -37,15 +37,14 @@ from station.diagnose.wrong import wrong
 from station.errors import UsageError, WorkError
 from station.estimation.answers import answers, refuse_wrong_signs_and_units, unlikely
 from station.estimation.cause import Key, is_constant
-from station.estimation.dataset import canonical_order, dataset
+from station.estimation.dataset import by_content, dataset
 from station.estimation.fitted import Fit
 from station.estimation.least_squares import CANNOT_SIMULATE, DIVERGED
 from station.estimation.loaded import load_compiled
 from station.estimation.observer import observers, torque_gains
 from station.estimation.pool import SIZE, Pool
-from station.estimation.prediction import SEARCH, Predictor, in_motion, predict_run
+from station.estimation.prediction import Predictor, built, in_motion, predict_run
 from station.model.effects import effect_class
-from station.model.simulate import build
 from station.rig import Rig
 from station.runs.run import Run
 
@@ -64,17 +63,11 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     begun = time.perf_counter()
     if effort not in EFFORTS:
         raise UsageError(f"--effort: {effort!r} is none of {', '.join(EFFORTS)}")
-    pool = Pool(threads, f"{__name__}:prepare")
+    pool = Pool(threads, f"{__name__}:{load_compiled.__name__}")    # of this module: what it needs is loaded, too
     with threadpool_limits(1):
-        found = _diagnose(rig, [runs[i] for i in canonical_order(runs)], effort,
-                          progress or (lambda text, share: None), pool)
+        found = _diagnose(rig, by_content(runs), effort, progress or (lambda text, share: None), pool)
     _put_in_order(found)
     return replace(found, seconds=time.perf_counter() - begun)
-
-
-def prepare() -> None:
-    """What a process beside this one does before it is asked for anything; that it is in this module loads the rest."""
-    load_compiled()
 
 
 def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str, float], None],
@@ -94,7 +87,8 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     finding, without_each = sized(search, finding)
     judged = unseen(search, finding, without_each)
     said, best, nothing = finding.said, finding.fit, search.fits[frozenset()]
-    known = standing(data, said.causes, best.space.rig_at(best.x))
+    setting = Setting(data.rig, data.clock is not None, tuple(one.start for one in data.records if one.released))
+    known = standing(setting, said.causes, best.space.rig_at(best.x))
     told = completed(finding.odds, said.causes, known)
     decision = verdict(said, told, search.screened, finding.left.is_noise, judged.against, known)
     order: list[Key] = []
@@ -124,7 +118,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     alike = [words for name, _ in order if not is_constant(name) and (words := effect_class(name).alike)]
     diagnosis = Diagnosis(
         verdict=decision, wrong=wrong(comparisons, data.noise), causes=causes,
-        gain=gain(data, comparisons, judged.simulations[2], judged.ahead),
+        gain=gain(data, comparisons, judged.ahead),
         next_experiment=with_word(None if decided else choice().next, decision, told, said.causes, known),
         outside=finding.outside,
         disturbance=_disturbance(predictor, [nominal(data, nothing), nothing, shown]),
@@ -192,7 +186,7 @@ def _disturbance(predictor: Predictor, fits: Sequence[Fit]) -> Disturbance:
 
     def share(one: Fit) -> float:
         space, x = one.space, one.x
-        model, missing, command = build(space.rig_at(x), *SEARCH[:2]), 0.0, 0.0
+        model, missing, command = built(space.rig_at(x)), 0.0, 0.0
         shown, noise = torque_gains(quickest[0], model, in_motion(data, model))
         for r, (run, record) in enumerate(zip(data.runs, data.records, strict=True)):
             torque = predict_run(data, model, quickest, r, one.own[r], zero=space.zero(x, record.zero_group),

@@ -38,7 +38,6 @@ from station.diagnose.odds import Odds, normalised
 from station.diagnose.result import NextExperiment, Rival, Verdict
 from station.diagnose.thresholds import BELIEVABLE, LISTED, LOG_PRIOR, LOG_PRIOR_PARAMETER, SURE
 from station.estimation.cause import Key, Sizes, constant, constant_path, is_constant
-from station.estimation.dataset import Dataset
 from station.estimation.parameters import WIDE, clock_sigma
 from station.model.effects import Stage, effect_class
 from station.model.units import UNITS, UnknownUnitError, dimension, powers
@@ -296,14 +295,8 @@ TABLE = (
 """All known equivalences; ``docs/equivalences.md`` proves each, and says when it applies."""
 
 
-def standing(data: Dataset, causes: frozenset[Key], rig: Rig) -> list[Standing]:
+def standing(setting: Setting, causes: frozenset[Key], rig: Rig) -> list[Standing]:
     """The equivalences of which the named causes are one side; ``rig`` has the causes in it, as fitted."""
-    released = tuple(record.start for record in data.records if record.released)
-    return standing_in(Setting(data.rig, data.clock is not None, released), causes, rig)
-
-
-def standing_in(setting: Setting, causes: frozenset[Key], rig: Rig) -> list[Standing]:
-    """As ``standing``, from what it needs of a problem."""
     found = []
     for equivalence in TABLE if causes else ():
         try:
@@ -329,15 +322,10 @@ def completed(odds: Odds, named: frozenset[Key], known: Sequence[Standing]) -> O
     return normalised(scores, odds.stability)
 
 
-def bound_rivals(named: frozenset[Key], cause: Key, known: Sequence[Standing]) -> set[Key]:
-    """Causes of the other sides that lack a cause: its rivals whatever the odds."""
-    return {key for row in known for side in row.sides if cause not in side.causes for key in side.causes - named}
-
-
 def rivals(odds: Odds, named: frozenset[Key], cause: Key, known: Sequence[Standing]) -> list[Rival]:
     """The likeliest causes in place of a named one, and all that are so by an equivalence, however unlikely."""
     others = odds.replacements(named, cause)
-    bound = bound_rivals(named, cause, known)
+    bound = {key for row in known for side in row.sides if cause not in side.causes for key in side.causes - named}
     likely = sorted((key for key in others if key not in bound and others[key] >= LISTED), key=lambda k: -others[k])
     found = [Rival(effect=k[0], at=k[1], probability=others[k]) for k in likely[:LONGEST_LIST]]
     found += [Rival(effect=k[0], at=k[1], probability=max(others.get(k, 0.0), BELIEVABLE))

@@ -11,9 +11,10 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from station.diagnose.candidates import candidates
-from station.diagnose.forecasts import Belief, built
+from station.diagnose.forecasts import Belief
 from station.diagnose.odds import Odds
 from station.diagnose.planner import Planner, Worth
 from station.diagnose.result import Choice, NextExperiment, Verdict
@@ -22,13 +23,14 @@ from station.diagnose.separating import between
 from station.diagnose.showing import showing
 from station.diagnose.thresholds import SETTLED, UNLIKELY
 from station.diagnose.trials import trials
-from station.estimation.cause import Key
+from station.estimation.cause import Key, in_words
 from station.estimation.dataset import tests_of
 from station.estimation.fitted import Fit
 from station.estimation.loaded import PREPARE
 from station.estimation.noise import ACCEL_DEFAULT, QUANTISATION
 from station.estimation.parameters import prior_covariance
 from station.estimation.pool import SIZE, Pool
+from station.estimation.prediction import built
 from station.model.effects import Effect, Stage, catalogue
 from station.model.simulate import Model
 from station.rig import Rig
@@ -74,7 +76,11 @@ def choose(search: Selection, odds: Odds, verdict: Verdict) -> Choice:
 def first_test(rig: Rig) -> Choice:
     """The first test of a rig that nothing is known of but its file: the one that makes most of the catalogue visible
     and behaves wherever the stated uncertainty may put the rig."""
-    rig = rig.meshed()
+    with threadpool_limits(1):
+        return _first_test(rig.meshed())
+
+
+def _first_test(rig: Rig) -> Choice:
     paths, nominal = list(rig.constants()), np.array(list(rig.constants().values()))
     root = np.linalg.cholesky(prior_covariance(rig, paths))
 
@@ -109,7 +115,7 @@ def _sigma(search: Selection) -> np.ndarray:
     """Noise of a planned run; where a model misses something, the size of that, spread over its samples."""
     data, best = search.predictor.data, search.best()
     left = np.mean(np.maximum(best.squares / np.maximum(search.weighing.independent, 1.0), 1.0), axis=0)
-    return data.sigma * np.sqrt([left[search.predictor.channel == c][-1] for c in range(data.channels)])
+    return data.sigma * np.sqrt(left[search.predictor.longest])
 
 
 def _choice(found: Worth | None, planner: Planner) -> Choice:
@@ -130,4 +136,4 @@ def _telling(keys: frozenset[Key]) -> str:
 
 
 def _words(keys: Iterable[Key]) -> str:
-    return " + ".join(sorted(f"{name} at {at}" if at else name for name, at in keys)) or "no cause"
+    return " + ".join(sorted(map(in_words, keys))) or "no cause"

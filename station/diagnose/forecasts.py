@@ -13,10 +13,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from station.estimation.likelihood import NUISANCES
-from station.estimation.prediction import SEARCH
-from station.model.effects import Stage
-from station.model.simulate import Model, build
-from station.rig import Rig
+from station.model.simulate import Model
 
 
 @dataclass(frozen=True)
@@ -53,9 +50,3 @@ def absorbed(change: np.ndarray, spread: np.ndarray) -> np.ndarray:
     """change (m, n), or one row, times S^-1 = (I + spread' spread)^-1, ``spread`` (k, n): what no refit takes up."""
     inner = np.eye(len(spread)) + spread @ spread.T
     return change - (np.linalg.solve(inner, spread @ change.T)).T @ spread
-
-
-def built(rig: Rig) -> Model:
-    """A rig's model, as fine as the search simulates it."""
-    gap = any(effect.stage is Stage.GAP for effect in rig.effects)
-    return build(rig, SEARCH[0], SEARCH[2] if gap else SEARCH[1])

@@ -10,7 +10,7 @@ import numpy as np
 from station.estimation.dataset import content
 from station.estimation.noise import QUANTISATION
 from station.model.simulate import Simulation
-from station.runs.quality import between_repeats
+from station.runs.quality import Scatter, between_repeats
 from station.runs.run import Run
 from station.runs.step_response import overshoot, rise_time, settling_time, step_row
 
@@ -51,11 +51,11 @@ def repeats(runs: Sequence[Run]) -> list[dict[str, float]]:
     both have, at least half of the longer; a log is no repeat of itself. The encoder counts from where a run began, the
     accelerometer from its mean.
     """
-    logs = [content(run) for run in runs]
     found: list[dict[str, float]] = [{} for _ in runs]
-    for k, (run, own) in enumerate(zip(runs, logs, strict=True)):
-        those = [other for other, log in zip(runs, logs, strict=True)
-                 if other is run or log != own and _same_test(run, other)]
+    tests = {content(run): run for run in runs}
+    for k, run in enumerate(runs):
+        own = content(run)
+        those = [run, *(other for log, other in tests.items() if log != own and _same_test(run, other))]
         rows = min(len(one.t) for one in those)
         for channel in ("encoder", "accel"):
             readings = [getattr(one, channel) for one in those]
@@ -67,9 +67,9 @@ def repeats(runs: Sequence[Run]) -> list[dict[str, float]]:
                 found[k][channel] = between_repeats(cut) / size
         steps = [step_figures(one, one.encoder) for one in those]
         for name in step_figures(run, run.encoder):
-            values = [value for step in steps if (value := step.get(name)) is not None]
-            if len(values) > 1:
-                found[k][name] = float(np.std(np.subtract(values, values[0]), ddof=1))    # of equal ones: 0
+            between = Scatter.of([step.get(name) for step in steps]).sigma
+            if between is not None:
+                found[k][name] = between
     return found
 
 

@@ -11,7 +11,7 @@ from station.diagnose.selection import Selection, log_prior
 from station.diagnose.thresholds import AS_GOOD, BETTER, LIKELY, NOISE
 from station.diagnose.unseen import Unseen
 from station.diagnose.validation import standard_error, unseen_gain
-from station.estimation.cause import Causes, Key, is_constant
+from station.estimation.cause import Causes, Key, in_words, is_constant
 from station.rig import Rig
 
 
@@ -105,12 +105,11 @@ def notes(rig: Rig, search: Selection, finding: Finding, unseen: Unseen) -> list
                      f"error {standard_error(gains):.1f}")
     if finding.may_be_none:
         found.append("in the best set but not stated, for their own 95 % intervals hold that they are not there: "
-                     + ", ".join(f"{n}{f' at {at}' if at else ''}" for n, at in sorted(finding.may_be_none)))
+                     + ", ".join(map(in_words, sorted(finding.may_be_none))))
     unstable = sorted(spoken.sets[0][0] - said.causes - finding.may_be_none)
     if unstable:
         found.append("in the best set but not stated, for too few resamples name them: "
-                     + ", ".join(f"{n}{f' at {at}' if at else ''} ({spoken.stability.get((n, at), 0.0):.2f})"
-                                 for n, at in unstable))
+                     + ", ".join(f"{in_words(key)} ({spoken.stability.get(key, 0.0):.2f})" for key in unstable))
     if rig.beam is not None and data.rig.beam.elements != rig.beam.elements:
         found.append(f"simulated with {data.rig.beam.elements} beam elements; with the {rig.beam.elements} of the "
                      "rig file the mesh's own error would look like physics")

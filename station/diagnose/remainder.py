@@ -48,9 +48,8 @@ def remainder(predictor: Predictor, found: Fit) -> Remainder:
     """
     data = predictor.data
     size, slow, freedoms = [], [], np.array(data.noise_freedoms[: data.channels])
-    blocks = [len(predictor.observers) - 1, len(predictor.channel) - 1][: data.channels]
     for every, share in zip(found.residuals, (record.share for record in data.records), strict=True):
-        e = every[blocks]
+        e = every[predictor.longest]
         independent = np.maximum(share.sum(axis=1), 1e-9)
         size.append(_size(np.sum(e * e, axis=1), independent, freedoms))
         rows = e.shape[1] // SPAN * SPAN

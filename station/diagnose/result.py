@@ -208,7 +208,7 @@ class RunComparison:
     part: slice = field(default_factory=lambda: slice(None))
     """The rows that it is judged by: of a run that is alone one half."""
     window: np.ndarray | None = None
-    """(n) those of them that count, by default all that were logged."""
+    """(n) whether each counts, in that part; by default all that were logged do."""
     zero: float = 0.0
     """Absolute angle of the encoder's count 0, rad, by the fit of all runs."""
 
@@ -226,10 +226,8 @@ class RunComparison:
 
     @property
     def rows(self) -> np.ndarray:
-        """(n) rows of that part that count."""
-        rows = np.zeros(len(self.run), dtype=bool)
-        rows[self.part] = (self.run.logged if self.window is None else self.window)[self.part]
-        return rows
+        """(n) whether each row counts."""
+        return self.run.logged if self.window is None else self.window
 
     def variance(self, channel: str) -> float:
         """Of a channel about its mean, summed over the rows, counts^2."""

@@ -12,10 +12,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from station.diagnose.forecasts import Belief, Forecast, absorbed, built, nuisance_rows
+from station.diagnose.forecasts import Belief, Forecast, absorbed, nuisance_rows
 from station.diagnose.planner import Judge, Planner, Worth
 from station.diagnose.thresholds import VISIBLE
 from station.diagnose.trials import Trial
+from station.estimation.prediction import built
 from station.model.effects import Effect
 from station.rig import Rig
 from station.runs.run import Run

@@ -25,7 +25,7 @@ from station.diagnose.thresholds import LOG_PRIOR, WORTH_A_FIT
 from station.estimation.constants import FIRST_SECONDS, in_step, unknown
 from station.estimation.dataset import first_seconds
 from station.estimation.fitted import Fit
-from station.estimation.least_squares import DIVERGED, fit, objective
+from station.estimation.least_squares import DIVERGED, fit, point
 from station.estimation.likelihood import Weighing, cost
 from station.estimation.parameters import WIDE, Parameters, parameters
 from station.estimation.prediction import Predictor
@@ -107,7 +107,7 @@ def rigid_starts(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
     stiffest: dict[str, float] = {}
     for seconds in (FIRST_SECONDS[:2], FIRST_SECONDS[2:]):
         part = slow.on(first_seconds(slow.data, seconds[-1]))
-        least = objective(part, parent.space, unknown(part), parent.x, parent.own)
+        least = point(part, parent.space, unknown(part), parent.x, parent.own).objective
         ends = predictor.pool.map(methodcaller("followed", seconds), tried)
         tried = [replace(one, **end) for one, end in zip(tried, ends, strict=True)]
         best = {one.candidate: one for one in sorted(tried, key=lambda one: -one.objective)}
@@ -167,9 +167,7 @@ def _profiles(predictor: Predictor, constants: Sequence[Candidate]) -> list[tupl
 
 def _cost(part: Predictor, space: Parameters, x: np.ndarray, weighing: Weighing) -> float:
     with suppress(*DIVERGED), np.errstate(over="ignore", invalid="ignore"):
-        made = part.runs(space, x, part.data.own)
-        squares = [np.sum(((part.measured(r) - y) * part.scale(r)) ** 2, axis=1) for r, y in enumerate(made)]
-        return cost(np.array(squares), part.counts, weighing.independent)
+        return cost(point(part, space, weighing, x, part.data.own).squares, part.counts, weighing.independent)
     return np.inf
 
 

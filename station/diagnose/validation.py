@@ -156,7 +156,7 @@ def log_density(predictor: Predictor, weighing: Weighing, left: Fit, run: int) -
         own = left.own[run].copy()
         own[data.free] = moved[:free]
         x = left.x + moved[free:] @ directions
-        return (measured - predictor.run(predictor.model(space, x), space, x, run, own)) * scale
+        return (measured - predictor.some(predictor.model(space, x), space, x, [run], own[None])[0]) * scale
 
     def surprise(e: np.ndarray, moved: np.ndarray) -> float:
         return (cost(np.sum(e * e, axis=1), counts, independent) / weighing.temperature
@@ -254,29 +254,28 @@ def _loops_step(c: RunComparison, made: Simulation) -> dict[str, float | None]:
     return step_figures(c.run, made.encoder, c.part) if c.seconds_ahead is None else {}
 
 
-def gain(data: Dataset, comparisons: Sequence[RunComparison], after: Sequence[Simulation],
+def gain(data: Dataset, comparisons: Sequence[RunComparison],
          ahead: tuple[Sequence[dict[str, float]], Sequence[dict[str, float]]]) -> Gain:
     """The diagnosis file's gain: nrmse over all held-out runs and the share of the explainable error removed.
 
     ``ahead``: per run the errors of predictions so far ahead, before and after (``predict_unseen``).
     """
     found, fractions, runs = {}, [], []
-    for c, made, old, new, between in zip(comparisons, after, *ahead, repeats(data.runs), strict=True):
+    for c, old, new, between in zip(comparisons, *ahead, repeats(data.runs), strict=True):
         runs.append(RunGain(run=c.run.name, seconds_ahead=c.seconds_ahead, repeats=between,
                             measured=step_figures(c.run, c.run.encoder, c.part),
-                            before=_loops_step(c, c.before), after=_loops_step(c, made),
+                            before=_loops_step(c, c.before), after=_loops_step(c, c.after or c.refit),
                             ahead={time: ChannelGain(nrmse_before=old[time], nrmse_after=new[time])
                                    for time in old if np.isfinite([old[time], new[time]]).all()}))
     for channel, sigma in zip(CHANNELS[: data.channels], data.noise, strict=False):
         spread = error_before = error_after = explained = explainable = 0.0
-        for one, c, record, made in zip(runs, comparisons, data.records, after, strict=True):
-            rows = record.window
-            measured = getattr(c.run, channel)[rows]
-            size = float(np.sum((measured - measured.mean()) ** 2))
+        for one, c in zip(runs, comparisons, strict=True):
+            size = c.variance(channel)
             if size == 0.0:
                 continue
+            measured = getattr(c.run, channel)[c.rows]
             least = floor(measured, sigma)
-            b, a = (nrmse(measured, getattr(simulation, channel)[rows]) for simulation in (c.before, made))
+            b, a = (nrmse(measured, getattr(made, channel)[c.rows]) for made in (c.before, c.after or c.refit))
             setattr(one, channel, ChannelGain(nrmse_before=b, nrmse_after=a))
             spread += size
             error_before += b * b * size

@@ -16,6 +16,11 @@ def constant(path: str) -> Key:
     return _PREFIX + path, ""
 
 
+def in_words(cause: Key) -> str:
+    """``input_delay at amplifier``, ``parameter:tip.mass``."""
+    return " at ".join(filter(None, cause))
+
+
 def is_constant(effect: str) -> bool:
     """Whether the cause's first word names a constant of the rig, not an effect."""
     return effect.startswith(_PREFIX)

@@ -194,11 +194,6 @@ class Dataset:
         return observers(self.rig, self.noise[0], (FINDS,))[0]
 
     @cached_property
-    def rms_command(self) -> float:
-        """Of all runs, counts."""
-        return float(np.sqrt(np.mean(np.concatenate([run.command for run in self.runs]) ** 2)))
-
-    @cached_property
     def _first(self) -> tuple[int, np.ndarray]:
         """The rows of FIRST seconds, and counts by which the encoder moves from each row of all runs over them."""
         rows = max(math.ceil(FIRST * self.rig.sample_rate), 1)
@@ -255,9 +250,9 @@ def _joined(records: Sequence[Record]) -> Logs:
                 np.concatenate([one.finding for one in records]))
 
 
-def canonical_order(runs: Sequence[Run]) -> list[int]:
-    """The order of runs by their content, so that nothing depends on the order in which files are named."""
-    return sorted(range(len(runs)), key=lambda i: (content(runs[i]), runs[i].name))
+def by_content(runs: Sequence[Run]) -> list[Run]:
+    """The runs in the order of their content, so that nothing depends on the order in which files are named."""
+    return sorted(runs, key=lambda run: (content(run), run.name))
 
 
 def content(run: Run) -> str:
@@ -279,7 +274,9 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
     does not.
     """
     for run in runs:
-        _refuse_rollover(rig, run)
+        if rolled := rollover(run.encoder, rig.encoder.counts_per_revolution):
+            # By which count the loop went only its maker knows.
+            raise WorkError(f"{run.name}: {rollover_fault(run.encoder, rolled, place(rolled[0]))}")
     runs = [run.filled(rig.sample_rate) for run in runs]
     tests = tests_of(runs)
     has_accel = rig.accelerometer is not None and any(run.accel is not None for run in runs)
@@ -303,13 +300,6 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
         in zip(runs, windows or [slice(None)] * len(runs), zero_ids, np.cumsum(parts) - parts, parts, strict=True))
     return Dataset(meshed, records, noise=noise.sigmas, noise_freedoms=noise.freedoms, clock=clock_evidence(tests),
                    segment_run=np.repeat(np.arange(len(runs)), parts), carried=_carried(meshed, tests))
-
-
-def _refuse_rollover(rig: Rig, run: Run) -> None:
-    """WorkError where a run's counter rolls over: which count the loop went by only its maker knows."""
-    rolled = rollover(run.encoder, rig.encoder.counts_per_revolution)
-    if rolled:
-        raise WorkError(f"{run.name}: {rollover_fault(run.encoder, rolled, place(rolled[0]))}")
 
 
 def _record(rig: Rig, run: Run, window: slice, noise: Sequence[float], zero_group: int, segment: np.ndarray) -> Record:

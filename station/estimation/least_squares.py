@@ -184,13 +184,14 @@ class _Descent:
 
 def own_steps(data: Dataset) -> np.ndarray:
     """(4) finite-difference steps of what runs have of their own."""
-    command = max(data.rms_command, IDLE * data.rig.amplifier.limit)
+    commands = np.concatenate([run.command for run in data.runs])
+    command = max(float(np.sqrt(np.mean(commands**2))), IDLE * data.rig.amplifier.limit)
     return np.array([0.5 * data.rig.angle_per_count, OFFSET_STEP, STEP, STEP * command])
 
 
-def objective(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarray, own: np.ndarray) -> float:
-    """-2 ln of the posterior, up to a constant, at ``x`` (p) and ``own`` (runs, 4); infinite where lost."""
-    return _Descent(predictor, space, weighing, np.ones(len(predictor.data.runs))).at(x, own).objective
+def point(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarray, own: np.ndarray) -> Point:
+    """``x`` (p) and ``own`` (runs, 4), and how well they predict."""
+    return _Descent(predictor, space, weighing, np.ones(len(predictor.data.runs))).at(x, own)
 
 
 def fit(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarray, own: np.ndarray | None = None, *,

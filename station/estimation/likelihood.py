@@ -187,8 +187,8 @@ def nuisance_precision(data: Dataset, differ: tuple[float, float]) -> np.ndarray
     angle, drift = NUISANCES
     start = np.hypot(angle, data.start_error) * data.rig.angle_per_count
     offset = np.hypot(drift, data.offset_error)
-    found = [start**-2.0, offset**-2.0]
-    return np.stack([*found, *np.outer(differ_precision(data.rig, differ), np.ones_like(offset))], axis=1)[:, data.free]
+    more = np.tile(differ_precision(data.rig, differ), (len(start), 1))
+    return np.column_stack([start**-2.0, offset**-2.0, more])[:, data.free]
 
 
 def differ_ends(rig: Rig) -> np.ndarray:

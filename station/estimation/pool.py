@@ -57,7 +57,7 @@ class Pool:
             yield from map(function, parts) if body is None else _spread(function, body, parts, helpers)
         finally:
             if helpers:
-                _beside.given_back()
+                _beside.lock.release()      # the next map may have them
 
 
 def _sent(what: object) -> bytes | None:
@@ -177,17 +177,13 @@ class _Beside:
                 self.lock.release()
 
     def taken(self, most: int) -> list[_Helper]:
-        """Those that are ready, until they are ``given_back``; none while they are taken."""
+        """Those that are ready; none while they are taken, until the lock is released."""
         if most <= 0 or not self.lock.acquire(blocking=False):
             return []
         found = [helper for helper in self.helpers if helper.ready and helper.alive][:most]
         if not found:
             self.lock.release()
         return found
-
-    def given_back(self) -> None:
-        """The next map may have them."""
-        self.lock.release()
 
     def end(self) -> None:
         """Stop them all."""

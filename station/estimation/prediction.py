@@ -40,6 +40,13 @@ SEARCH.  By COARSE predictions err by 0.02 count at most (root mean square, effe
 a gap by 0.05, by SEARCH with a gap by 0.012; rounding alone by 0.29."""
 
 
+def built(rig: Rig, accuracy: Accuracy = SEARCH, beside: Model | None = None) -> Model:
+    """A rig made ready for the many simulations of a fit; ``beside``: a rig near it."""
+    truncation, longest, where_a_gap_closes = accuracy
+    gap = any(effect.stage is Stage.GAP for effect in rig.effects)
+    return build(rig, truncation, where_a_gap_closes if gap else longest, beside)
+
+
 @kernel()
 def _predict(plan, fresh, state, gain, torque_gain, late, decay, logs, own, accel_at, out, disturbance, work):
     blocks, horizons, plain = out.size // logs.command.size, accel_at.size, is_plain(plan)
@@ -240,9 +247,8 @@ class Predictor:
         return blocks_independent(squares, self.counts, self.power, residuals)
 
     def model(self, space: Parameters, x: np.ndarray) -> Model:
-        """The rig that a parameter vector describes, made ready for the many simulations of a fit."""
-        truncation, longest, longest_gap = self.accuracy
-        return build(space.rig_at(x), truncation, longest_gap if space.gap_places else longest, self.beside)
+        """Of the rig that a parameter vector describes."""
+        return built(space.rig_at(x), self.accuracy, self.beside)
 
     def some(self, model: Model, space: Parameters, x: np.ndarray, runs: Sequence[int], own: np.ndarray,
              ) -> list[np.ndarray]:
@@ -257,10 +263,6 @@ class Predictor:
         accel_at[-1] = count if blocks > count else -1
         out = _predicted(data, model, self.observers, logs, starts, own, accel_at, blocks, np.zeros(0))
         return [rows.reshape(blocks, -1) for rows in np.split(out, blocks * logs.first[1:-1])]
-
-    def run(self, model: Model, space: Parameters, x: np.ndarray, run: int, own: np.ndarray) -> np.ndarray:
-        """One run's predictions (b, n), counts; ``own`` (4) as ``Dataset.own`` has it."""
-        return self.some(model, space, x, [run], own[None])[0]
 
     def runs(self, space: Parameters, x: np.ndarray, own: np.ndarray) -> list[np.ndarray]:
         """Every run's predictions (b, n), counts; ``own`` (runs, 4) as ``Dataset.own`` has it."""

@@ -14,7 +14,7 @@ from station.errors import UsageError, WorkError
 from station.estimation import least_squares
 from station.estimation.answers import answers, refuse_wrong_signs_and_units
 from station.estimation.constants import cooled, refined, searched, settled
-from station.estimation.dataset import canonical_order, dataset
+from station.estimation.dataset import by_content, dataset
 from station.estimation.identifiability import unseen
 from station.estimation.loaded import PREPARE
 from station.estimation.observer import observers
@@ -47,7 +47,7 @@ def fit(rig: Rig, runs: Sequence[Run], hold: Sequence[str] | None = None, *, dom
     if not runs:
         raise UsageError("a fit wants at least one run")
     # A beam as uniform as the rig file says: what a diagnosis allows for beyond it is no constant of the file.
-    data = replace(dataset(rig, [runs[i] for i in canonical_order(runs)]), rig=rig.meshed())
+    data = replace(dataset(rig, by_content(runs)), rig=rig.meshed())
     constants = list(data.rig.constants())
     held = tuple(hold) if hold is not None else tuple([path for path in HELD if path in constants][:1])
     for path in held:

@@ -16,14 +16,13 @@ from station.pictures.picture import Cause, Evidence, count, grid_over, thin
 
 def readings(cause: Cause, effect: Effect) -> list[Evidence]:
     """Measured against simulated accelerometer."""
-    runs = [run for run in cause.runs if run.accel is not None]
-    x = np.concatenate([command_driven(cause.without, run).accel for run in runs])
+    x = np.concatenate([command_driven(cause.without, run).accel for run in cause.runs])
     grid = grid_over(x)
     law = None if effect.states else (grid, law_values(cause.extended, effect, grid))
     return [thin(f"Accelerometer, measured against simulated: {cause.title}", "acceleration",
                  "simulated without the effect (counts)", "measured (counts)", x,
-                 np.concatenate([run.accel for run in runs]), law,
-                 f"Points: {count(runs)}, simulated from the logged command. Line: the fitted law; without the "
+                 np.concatenate([run.accel for run in cause.runs]), law,
+                 f"Points: {count(cause.runs)}, simulated from the logged command. Line: the fitted law; without the "
                  "effect points would lie on the diagonal.")]
 
 
@@ -31,14 +30,13 @@ def centripetal(cause: Cause, effect: Effect) -> list[Evidence]:
     """What the accelerometer reads too much, against the base's speed squared."""
     rig = cause.extended
     assert rig.accelerometer is not None and rig.beam is not None
-    runs = [run for run in cause.runs if run.accel is not None]
-    speed = np.concatenate([missing_torque(cause.without, run, accelerometer=False).base_speed for run in runs])
-    y = np.concatenate([run.accel - command_driven(cause.without, run).accel for run in runs])
+    speed = np.concatenate([missing_torque(cause.without, run, accelerometer=False).base_speed for run in cause.runs])
+    y = np.concatenate([run.accel - command_driven(cause.without, run).accel for run in cause.runs])
     grid = np.linspace(0.0, float(np.max(np.abs(speed))), 200)
     law = None if effect.states else (grid**2, law_values(rig, effect, grid, 0.0, rig.beam.length))
     return [thin(f"Acceleration read beyond the simulated, against speed squared: {cause.title}", "speed",
                  "base speed squared (rad²/s²)", "measured - simulated (m/s²)", speed**2, y / rig.accelerometer.gain,
-                 law, f"Points: {count(runs)}; the speed is smoothed from command and encoder, the acceleration "
+                 law, f"Points: {count(cause.runs)}; the speed is smoothed from command and encoder, the acceleration "
                  "simulated from the logged command. Line: the fitted law.")]
 
 

@@ -50,12 +50,9 @@ def against_motion(cause: Cause, effect: Effect) -> list[Evidence]:
     found = joined(estimates(cause, effect.at))
     by_speed = effect.stage is Stage.FRICTION or effect.picture == "speed"
     x, against = (found.speed, "speed") if by_speed else (found.angle, "angle")
-    grid, law = grid_over(x), None
-    if not effect.states:
-        if effect.stage is Stage.FRICTION:
-            law = grid, -np.sign(grid) * law_values(cause.extended, effect, np.abs(grid))
-        else:
-            law = grid, law_values(cause.extended, effect, *((0.0, grid) if by_speed else (grid, 0.0)))
+    grid = grid_over(x)
+    motion = (np.zeros_like(grid), grid) if by_speed else (grid, np.zeros_like(grid))
+    law = None if effect.states else (grid, _torque(cause.extended, effect, *motion, 0.0))
     label = f"{effect.at} speed (rad/s)" if by_speed else f"{effect.at} angle (rad)"
     rest = " At rest anything between its two sides may hold." if effect.stage is Stage.FRICTION else ""
     return [thin(f"Torque missing at the {effect.at}, against its {against}: {cause.title}", against,
@@ -67,10 +64,7 @@ def against_time(cause: Cause, effect: Effect) -> list[Evidence]:
     at = effect.at if effect.at in ("motor", "base", "drive", "clamp") else "motor"
     found = estimates(cause, at)
     worst = max(found, key=lambda m: float(np.mean(m.torque**2)))
-    if effect.stage is Stage.FRICTION:
-        law = -np.sign(worst.speed) * law_values(cause.extended, effect, np.abs(worst.speed), 0.0, np.abs(worst.load))
-    else:
-        law = law_values(cause.extended, effect, worst.angle, worst.speed)
+    law = _torque(cause.extended, effect, worst.angle, worst.speed, worst.load)
     note = _torque_note(cause, joined(found), "The run that misses most. Line: the fitted law along its motion.")
     return [thin(f"Torque missing at the {at}, against time: {cause.title}", "time", "time (s)",
                  "missing torque (N m)", worst.t, worst.torque, (worst.t, law), note)]
@@ -101,6 +95,13 @@ def against_command(cause: Cause) -> list[Evidence]:
     return [thin(f"Command that is missing, against the command: {cause.title}", "command", "command (counts)",
                  "missing torque over motor gain (counts)", command, found.torque / cause.extended.motor.gain, law,
                  _torque_note(cause, found, "Line: what the fitted chain adds to the command."))]
+
+
+def _torque(rig: Rig, effect: Effect, angle: np.ndarray, speed: np.ndarray, load: np.ndarray | float) -> np.ndarray:
+    """What an effect's law puts on a part that moves so."""
+    if effect.stage is Stage.FRICTION:
+        return -np.sign(speed) * law_values(rig, effect, np.abs(speed), 0.0, np.abs(load))
+    return law_values(rig, effect, angle, speed)
 
 
 def _chain(rig: Rig, command: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """The measures of a diagnosis against values worked out by hand."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -116,6 +117,15 @@ def test_repeats_of_a_step_say_by_how_much_its_figures_differ():
         assert row["overshoot_percent"] == pytest.approx(np.std([20.0, 22.0, 27.0], ddof=1))
         assert row["settling_time"] == pytest.approx(
             np.std([figures[0]["settling_time"], figures[1]["settling_time"]], ddof=1))
+
+
+def test_a_copy_of_a_log_is_no_further_repeat_of_another():
+    rng, runs = np.random.default_rng(6), []
+    for _ in range(2):
+        runs.append(made(STEP, ANSWER + np.append(0.0, rng.normal(0.0, 1.0, len(ANSWER) - 1))))
+    copy = replace(runs[1], name="copy")
+    both, rows = repeats(runs), repeats([*runs, copy])
+    assert rows == [*both, both[1]] and both[0]["encoder"] > 0.0
 
 
 def test_open_loop_runs_repeat_where_their_commands_do():

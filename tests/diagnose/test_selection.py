@@ -45,7 +45,8 @@ def found(evidence: float, *effects: tuple, constants: tuple[str, ...] = (), nar
     space = SimpleNamespace(hypothesis=hypothesis, rig=None, coordinates=(), parts={"effects": slice(0, 0)})
     made = Found(space=space, key=hypothesis.key,
                  log_evidence=lambda weighing, found_by: evidence - np.dot(lost, np.equal(weighing.differ, 0.0)),
-                 log_evidences=lambda weighing, sizes, drawn, found_by: evidence - np.dot(lost, np.equal(sizes, 0.0)) - drawn,
+                 log_evidences=lambda weighing, sizes, drawn, found_by: (
+                     evidence - np.dot(lost, np.equal(sizes, 0.0)) - drawn),
                  most_likely_differ=lambda weighing, may: tuple(map(float, may)),
                  log_narrowing=lambda weighing: np.array([narrowed, 0.0]))
     made.light = made

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from station.estimation.constants import PRIOR_SHARE, base_fit, cooled, searched, settled, unknown
-from station.estimation.dataset import canonical_order, dataset
+from station.estimation.dataset import by_content, dataset
 from station.estimation.least_squares import fit
 from station.estimation.likelihood import Weighing
 from station.estimation.observer import observers
@@ -52,7 +52,7 @@ def test_how_much_runs_differ_is_found_wherever_the_fit_begins() -> None:
     so large that freeing it a little seems to buy nothing."""
     case = make_case(930007, [("sublinear_drag", "motor")], count=None, band="subtle", disturbance=0.02,
                      sized_in_world=True)
-    runs = [case.runs[i] for i in canonical_order(case.runs)]
+    runs = by_content(case.runs)
     data = dataset(load_rig("sflr"), runs)
     predictor = Predictor(data, observers(data.rig, data.noise[0]), Pool())
     found = base_fit(predictor)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from station.errors import WorkError
-from station.estimation.dataset import SEGMENTS, WARM, canonical_order, dataset
+from station.estimation.dataset import SEGMENTS, WARM, by_content, dataset
 from station.estimation.noise import rounding_shares
 from station.model.effects import USUAL_SPEED
 from station.rig import Rig, load_rig
@@ -21,13 +21,13 @@ from tests.truth import SFLR
 
 def test_the_order_of_runs_is_their_contents_whatever_the_order_given() -> None:
     runs = runs_of(AXIS)
-    wanted = [runs[i].name for i in canonical_order(runs)]
+    wanted = [run.name for run in by_content(runs)]
     for seed in range(6):
         mixed = list(runs)
         random.Random(seed).shuffle(mixed)
-        assert [mixed[i].name for i in canonical_order(mixed)] == wanted
+        assert [run.name for run in by_content(mixed)] == wanted
     renamed = [replace(run, name=f"z{3 - i}") for i, run in enumerate(runs)]
-    assert canonical_order(renamed) == canonical_order(runs)
+    assert [renamed.index(run) for run in by_content(renamed)] == [runs.index(run) for run in by_content(runs)]
 
 
 def test_stretches_cover_every_row_once_and_none_spans_two_runs() -> None:

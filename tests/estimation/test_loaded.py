@@ -11,7 +11,7 @@ DISPATCHERS = ("station.estimation.prediction:_predict", "station.estimation.obs
                "station.model.modal:_first_order", "station.model.sampled:_responses")
 
 
-@pytest.mark.parametrize("prepare", [PREPARE, "station.diagnose.diagnose:prepare"])
+@pytest.mark.parametrize("prepare", [PREPARE, "station.diagnose.diagnose:load_compiled"])
 def test_what_predictions_call_is_there_afterwards(prepare: str) -> None:
     script = ("import importlib, sys\n"
               "def named(path):\n"
