@@ -251,6 +251,15 @@ class Rig(_Table):
                     found[path] = float(value)
         return found
 
+    def stated(self, path: str) -> float:
+        """What the file states of a constant, or of a parameter of an effect that it holds (``gravity_tilt.torque``).
+
+        KeyError: it states no such thing.
+        """
+        effects = {f"{effect.name}.{name}": value for effect in reversed(self.effects)
+                   for name, value in effect.values().items()}
+        return {**effects, **self.constants()}[path]
+
     def with_constants(self, values: dict[str, float]) -> Rig:
         """A copy with some constants replaced ("table.key": value).
 

@@ -10,7 +10,7 @@ import numpy as np
 from station.estimation.cause import Key
 from station.estimation.dataset import Dataset
 from station.estimation.fitted import Fit
-from station.estimation.parameters import Hypothesis, Parameters, parameters
+from station.estimation.parameters import Hypothesis, Parameters, held_within, parameters
 from station.model.effects import USUAL_SPEED, Effect, Stage, catalogue
 from station.rig import PROFILE, Rig
 
@@ -77,7 +77,8 @@ def candidates(rig: Rig, speed: float = USUAL_SPEED) -> list[Candidate]:
     """All causes for this rig; what its file already holds is part of it and no cause.  ``speed``: of its runs, rad/s.
 
     Without a drive motor and base are one part: an effect that may stand at either is one cause, at the motor.  A
-    constant that the file calls exact (uncertainty 0) is none.
+    constant that the file calls exact (uncertainty 0) is none.  What the file states of an effect within an uncertainty
+    is one as a constant is, where that effect stands once.
     """
     held = {(e.name, e.at) for e in rig.effects}
     found = []
@@ -89,4 +90,6 @@ def candidates(rig: Rig, speed: float = USUAL_SPEED) -> list[Candidate]:
                 found.append(Candidate(cls, at, None, tuple(cls.guesses_at(rig, at, speed))))
     paths = list(rig.constants())
     exact = {path for path, variance in zip(paths, rig.log_covariance(paths).diagonal(), strict=True) if not variance}
-    return found + [Candidate(None, "", path) for path in paths if path not in PROFILE | exact]
+    names = [effect.name for effect in rig.effects]
+    stated = [one.path for one in held_within(rig) if names.count(rig.effects[one.effect].name) == 1]
+    return found + [Candidate(None, "", path) for path in [*(p for p in paths if p not in PROFILE | exact), *stated]]

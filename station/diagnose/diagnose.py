@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from station.diagnose.equivalences import Setting, completed, rivals, standing, with_word
+from station.diagnose.equivalences import Setting, completed, exact_sizes, rivals, standing, with_word
 from station.diagnose.experiment import choose
 from station.diagnose.finding import between_runs, bought, find
 from station.diagnose.logs import as_logged
@@ -110,7 +110,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
                    for k, (run, before, refit, after, part) in enumerate(
                        zip(runs, *judged.simulations, parts, strict=True))]
     acting = predictor.on(replace(data, rig=data.rig.with_effects(extended.effects)))
-    amiss += unlikely(answered, answers(acting) if causes else ())
+    amiss += [*unlikely(answered, answers(acting) if causes else ()), *exact_sizes(rig, order)]
     report("choosing the next experiment", 0.96)
     choice = cache(partial(_chosen, search, finding.odds, decision))
     decided = decision in ("explained", "nothing_missing") and len(given) >= FEW

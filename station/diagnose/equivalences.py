@@ -120,7 +120,8 @@ def _with(rig: Rig, without: Collection[Key], values: Sizes) -> Rig:
 
 
 def _paths(causes: frozenset[Key]) -> list[str]:
-    return sorted(constant_path(name) for name, _ in causes if is_constant(name))
+    """The constants among some causes; not what the rig file holds of effects."""
+    return sorted(path for name, _ in causes if is_constant(name) and (path := constant_path(name)) in UNITS)
 
 
 def moves_by_itself(rig: Rig, setting: Setting) -> bool:
@@ -320,6 +321,17 @@ def completed(odds: Odds, named: frozenset[Key], known: Sequence[Standing]) -> O
         equal = scores[named] + min(side.log_odds, 0.0)
         scores[side.causes] = max(scores.get(side.causes, -math.inf), equal)
     return normalised(scores, odds.stability)
+
+
+def exact_sizes(rig: Rig, causes: Collection[Key]) -> list[str]:
+    """A sentence where constants or the clock are named and the rig file holds sizes of effects of which it states no
+    uncertainty: these are exact, and where they are not all else is off by a unit of torque in their place."""
+    exact = sorted({f"{effect.name}.{name}" for effect in rig.effects for name, value in effect.values().items()
+                    if value and not rig.uncertainty.get(f"{effect.name}.{name}")})
+    if not exact or not any(is_constant(key[0]) or key == CLOCK for key in causes):
+        return []
+    return [f"the rig file states no uncertainty of {', '.join(exact)}, which is taken for exact; if it is not, state "
+            "one under [uncertainty], for what is named may stand in its place"]
 
 
 def rivals(odds: Odds, named: frozenset[Key], cause: Key, known: Sequence[Standing]) -> list[Rival]:

@@ -246,7 +246,7 @@ def may_be_none(found: Fit, key: Key, values: dict[str, Estimate]) -> bool:
     (Wald's test: Trans. Am. Math. Soc. 54, 1943): one of its logarithm never reaches neutral.
     """
     if is_constant(key[0]):
-        return values["value"].low <= found.space.rig.constants()[constant_path(key[0])] <= values["value"].high
+        return values["value"].low <= found.space.rig.stated(constant_path(key[0])) <= values["value"].high
 
     def holds_none(coordinate: Coordinate) -> bool:
         size = values[coordinate.name]
@@ -294,6 +294,16 @@ def estimates(found: Fit, rougher: Fit, left_out: Sequence[Fit],
         least, most = sorted((value / times, value * times))
         constants[path] = Estimate(value=value, low=least, high=most, unit=UNITS[path],
                                    state=found_states[i], spread=between)
+
+    def of_held(path: str) -> Estimate:
+        k, direction = space.at_held(path), space.along_log(path)
+        one, seen = space.held[k - space.parts["held"].start], _between(found, direction)
+        deviation = math.hypot(max(math.sqrt(seen.covariance[k, k]), jackknife(np.eye(space.size)[k])), shift[k])
+        value, low, high = (one.value(float(found.x[k] + s * NORMAL * deviation)) for s in (0.0, -1.0, 1.0))
+        unit = space.rig.effects[one.effect].parameters()[one.name].unit
+        return Estimate(value=value, low=low, high=high, unit=unit, state=found_states[k],
+                        spread=_told(seen, 1.0 if one.angle else value))
+
     causes: dict[Key, dict[str, Estimate]] = {}
     for k, coordinate in enumerate(space.coordinates, space.parts["effects"].start):
         direction = np.eye(space.size)[k]
@@ -308,7 +318,7 @@ def estimates(found: Fit, rougher: Fit, left_out: Sequence[Fit],
             value=float(coordinate.to_value(found.x[k])), low=low, high=high, unit=coordinate.info.unit,
             state=found_states[k], spread=None if coordinate.info.periodic else _told(seen, per_step))
     for path in space.hypothesis.constants:
-        causes[constant(path)] = {"value": constants[path]}
+        causes[constant(path)] = {"value": constants[path] if path in constants else of_held(path)}
     return causes, constants
 
 

@@ -128,7 +128,7 @@ def far_starts(predictor: Predictor, pool: Sequence[Candidate], most: int, alone
     Tried are ``most`` of those that far from nominal meet them best before anything is fitted, and half as many of
     those whose freedom the quadratic about ``alone`` promises most of, if that can pay for its prior odds.
     """
-    constants, least = [c for c in pool if c.constant is not None], alone.objective
+    constants, least = [c for c in pool if c.constant in alone.space.paths], alone.objective
     rows = sorted(_profiles(predictor, constants), key=lambda row: row[0])
     tried = [(candidate, sigmas) for _, sigmas, candidate in rows if sigmas != 0.0][:most]
     quadratic = alone.normal(alone.weighing)

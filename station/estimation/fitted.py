@@ -100,9 +100,12 @@ class Fit(Point):
 
     @property
     def log_constants(self) -> float:
-        """Log density of the constants' logarithms under their prior, up to a number that all hypotheses share."""
-        w = self.x[self.space.parts["constants"]]
-        return -0.5 * float(w @ w) - float(np.linalg.slogdet(self.space.root)[1])
+        """Log density of what the rig file states within an uncertainty under its prior, up to a number that all
+        hypotheses share."""
+        w, held = (self.x[self.space.parts[part]] for part in ("constants", "held"))
+        precision = self.space.precision[self.space.parts["held"]]
+        return (-0.5 * float(w @ w) - float(np.linalg.slogdet(self.space.root)[1])
+                - 0.5 * float(precision @ held**2 - np.sum(np.log(precision))))
 
     @property
     def light(self) -> Fit:

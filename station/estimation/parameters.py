@@ -96,10 +96,17 @@ class Held:
 
     effect: int
     name: str
+    path: str
+    """As the rig file's uncertainty names it: ``gravity_tilt.torque``."""
     nominal: float
     sigma: float
     """Of its logarithm, of an angle itself, rad."""
     angle: bool
+
+    @property
+    def freedom(self) -> float:
+        """Prior precision, in units of its own, where a hypothesis sets it free."""
+        return 1.0 / (1.0 + ((PHASE if self.angle else WIDE) / self.sigma) ** 2)
 
     def value(self, away: float) -> float:
         """So many sigmas from nominal."""
@@ -149,8 +156,14 @@ class Parameters:
         """Logarithms of the constants over nominal."""
         return self.root @ x[self.parts["constants"]]
 
+    def at_held(self, path: str) -> int:
+        """Where in x a parameter stands of an effect that the rig file holds."""
+        return self.parts["held"].start + [one.path for one in self.held].index(path)
+
     def deviation(self, x: np.ndarray, path: str) -> float:
         """How far a constant is from nominal, in its own sigma, given what the others say of a common factor."""
+        if path not in self.paths:
+            return abs(float(x[self.at_held(path)]))
         logs, i, covariance = self.logs(x), self.paths.index(path), self.rig.log_covariance(list(self.paths))
         shared = np.flatnonzero((covariance[i] != 0.0) & (np.arange(len(logs)) != i))
         gain = np.linalg.solve(covariance[np.ix_(shared, shared)], covariance[shared, i])
@@ -164,7 +177,11 @@ class Parameters:
         return x
 
     def along_log(self, path: str) -> np.ndarray:
-        """(p) the direction of x along which the logarithm of one constant moves and the others' do not."""
+        """(p) the direction of x along which the logarithm of one constant, or an angle, moves and the others' do not.
+        """
+        if path not in self.paths:
+            k = self.at_held(path)
+            return (np.arange(self.size) == k) / self.held[k - self.parts["held"].start].sigma
         moved = np.array([one == path for one in self.paths], dtype=float)
         return np.append(np.linalg.solve(self.root, moved), np.zeros(self.size - len(moved)))
 
@@ -265,8 +282,7 @@ def parameters(data: Dataset, hypothesis: Hypothesis, centres: Sizes, fixed: Col
     rig = data.rig
     paths = tuple(path for path in rig.constants() if path not in fixed)
     covariance = prior_covariance(rig, paths)
-    for path in hypothesis.constants:
-        i = paths.index(path)
+    for i in (paths.index(path) for path in hypothesis.constants if path in paths):
         covariance[i, i] += WIDE**2
     mean, precision = [0.0] * len(paths), [1.0] * len(paths)
     coordinates = []
@@ -286,11 +302,12 @@ def parameters(data: Dataset, hypothesis: Hypothesis, centres: Sizes, fixed: Col
     known = int(all(effect.absolute is None for effect in rig.effects))
     shifted = known == 0 or any(cls.absolute is not None for cls, _ in hypothesis.effects)
     zeros = 1 + max(data.zero_groups) - known if shifted else 0
-    held = _held(rig)
+    held = held_within(rig)
     stages = [*(effect.stage for effect in rig.effects), *(cls.stage for cls, _ in hypothesis.effects)]
     places = len(data.runs) if Stage.GAP in stages else 0
     mean += [0.0] * (zeros + len(held) + places)
-    precision += [PLACE**-2] * zeros + [1.0] * (len(held) + places)
+    precision += [PLACE**-2] * zeros
+    precision += [one.freedom if one.path in hypothesis.constants else 1.0 for one in held] + [1.0] * places
     return Parameters(rig, hypothesis, paths, np.linalg.cholesky(covariance), tuple(coordinates), known, zeros, held,
                       places, np.array(mean), np.array(precision))
 
@@ -301,8 +318,9 @@ def clock_sigma(rig: Rig) -> float:
     return math.exp(WIDE) * max(abs(math.log(guess["ratio"])) for guess in usual)
 
 
-def _held(rig: Rig) -> tuple[Held, ...]:
-    return tuple(Held(k, name, value, sigma, info.periodic)
+def held_within(rig: Rig) -> tuple[Held, ...]:
+    """What a rig file holds of effects within an uncertainty; what it states none of is exact."""
+    return tuple(Held(k, name, f"{effect.name}.{name}", value, sigma, info.periodic)
                  for k, effect in enumerate(rig.effects) for (name, value), info in
                  zip(effect.values().items(), type(effect).parameters().values(), strict=True)
                  if (sigma := rig.uncertainty.get(f"{effect.name}.{name}", 0.0)) > 0.0

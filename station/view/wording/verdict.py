@@ -49,13 +49,12 @@ def _accusation(causes: Sequence[Cause], rig: Rig) -> str:
     if effects:
         parts.append(f"leaves out {joined(list(map(_told, effects)))}")
     if constants:
-        nominal = rig.constants()
         words = []
         for cause in constants:
             path, estimate = constant_path(cause.effect), cause.parameters.get("value")
             values = ""
-            if estimate is not None and path in nominal:
-                stated = f"{number(nominal[path])} {unit_of(estimate)}".rstrip()
+            if estimate is not None:
+                stated = f"{number(rig.stated(path))} {unit_of(estimate)}".rstrip()
                 values = f" ({stated} where these runs say {number(estimate.value)})"
             words.append(f"a wrong {constant_title(path)}{values}")
         parts.append(f"has {' and '.join(words)}")
