@@ -53,6 +53,8 @@ def print_diagnosis(result: DiagnosisResult, console: Console, rig: str = "RIG")
         console.print(_plain(told))
     if differ := wording.between_runs(found):
         console.print(_plain(differ))
+    if strained := wording.strained(result):
+        console.print(_plain(strained))
     if gone := wording.gone(found):
         console.print(wording.sentence(f"on runs that no fit has seen, {gone}"))
     for told in wording.beyond(result):

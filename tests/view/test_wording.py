@@ -243,6 +243,26 @@ def test_re_fittings_share_of_the_gain_is_told(before: float, after: float, word
     assert len(told) == 1 and told[0].endswith(words)
 
 
+def test_what_a_refit_strains_is_told_by_name() -> None:
+    result = made.result("unexplained")
+    stated, named = result.rig.constants(), {c.effect for c in result.diagnosis.causes}
+    assert not named
+    moved = {"motor.inertia": 1.32, "motor.gain": 0.8, "drive.stiffness": 1.01}
+    rig = result.rig.model_copy(update={"uncertainty": {"default": 0.1}})
+    constants = {path: Estimate(value=factor * stated[path], low=0.0, high=1.0, unit="1", state="determined")
+                 for path, factor in moved.items()}
+    told = wording.strained(replace(result, rig=rig, constants=constants))
+    assert told == ("Re-fitted, motor inertia is 32 % more (2.8 sigma) and motor gain is 20 % less (2.2 sigma) than "
+                    "the rig file says.")
+    cause = Cause(effect="parameter:motor.inertia", at="", probability=0.9, parameters={})
+    said = result.diagnosis.model_copy(update={"causes": [cause]})
+    assert "inertia" not in wording.strained(replace(result, rig=rig, constants=constants, diagnosis=said))
+    assert wording.strained(replace(result, rig=rig, constants={})) == ""
+    out = io.StringIO()
+    print_diagnosis(replace(result, rig=rig, constants=constants), Console(file=out, width=300))
+    assert told in out.getvalue()
+
+
 def test_what_re_fitting_does_is_not_said_of_the_causes() -> None:
     result = made.result()
     refit = result.refitted("encoder")

@@ -4,7 +4,7 @@ Pages know the package as ``words``: what stands here is what they may use.
 """
 
 from station.view.wording.commands import next_test, no_test, run_command, test_words
-from station.view.wording.gain import ahead_times, any_step, beyond, gain_rows, gone, step_words
+from station.view.wording.gain import ahead_times, any_step, beyond, gain_rows, gone, step_words, strained
 from station.view.wording.latency import as_told
 from station.view.wording.names import (
     CHANNELS,
@@ -27,4 +27,4 @@ __all__ = ["CHANNELS", "STATES", "VERDICTS", "ahead_times", "any_step", "as_told
            "cause_title", "constant_title", "decimal", "digits_of", "disturbance", "fact", "gain_rows",
            "gone", "interval", "measure", "next_test", "no_test", "number", "outside_sentence", "percent", "plain",
            "probability", "ranked", "remains_sentence", "resamples", "residual_words", "rest_sentence", "run_command",
-           "sentence", "step_words", "test_words", "unit_of", "verdict_sentence", "why"]
+           "sentence", "step_words", "strained", "test_words", "unit_of", "verdict_sentence", "why"]

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
-from station.view.wording.names import CHANNELS
+import numpy as np
+
+from station.estimation.cause import constant
+from station.estimation.identifiability import NORMAL
+from station.view.wording.names import CHANNELS, constant_title, joined
 from station.view.wording.numbers import number, percent
 from station.view.wording.remains import leaves_noise
 
@@ -50,6 +55,23 @@ def beyond(result: DiagnosisResult) -> list[str]:
                     f"{percent(refit)} with its constants re-fitted, {percent(gain.nrmse_after)} with the causes."
                     f"{alone}")
     return said
+
+
+def strained(result: DiagnosisResult) -> str:
+    """The constants that a refit moves by more than 95 % of the rig file's own uncertainty, and that are no causes;
+    empty where there are none."""
+    stated, named = result.rig.constants(), {cause.effect for cause in result.diagnosis.causes}
+    paths = [path for path in result.constants if path in stated and constant(path)[0] not in named]
+    sigmas = dict(zip(paths, np.sqrt(result.rig.log_covariance(paths).diagonal()), strict=True)) if paths else {}
+    rows = []
+    for path, sigma in sigmas.items():
+        moved = math.log(result.constants[path].value / stated[path])
+        if abs(moved) > NORMAL * sigma > 0.0:
+            change = math.expm1(moved)
+            rows.append((abs(moved) / sigma,
+                         f"{constant_title(path)} is {percent(abs(change))} {'more' if change > 0.0 else 'less'}"))
+    told = [f"{words} ({deviation:.1f} sigma)" for deviation, words in sorted(rows, reverse=True)]
+    return f"Re-fitted, {joined(told)} than the rig file says." if told else ""
 
 
 def gain_rows(result: DiagnosisResult) -> list[tuple[str, ChannelGain, float | None]]:
