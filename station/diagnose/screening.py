@@ -228,6 +228,8 @@ def freed(predictor: Predictor, parent: Fit, candidate: Candidate, normal: np.nd
     space, x = candidate.beside(predictor.data, parent, {})
     transform = np.eye(base.size)
     transform[:n, :n] = np.linalg.solve(base.root, space.root)
+    held = np.arange(base.size)[base.parts["held"]]
+    transform[held, held] = space.wider(base)
 
     def cost(prior: np.ndarray, matrix: np.ndarray, slope: np.ndarray, at: np.ndarray) -> float:
         force = slope - prior * (at - base.mean)

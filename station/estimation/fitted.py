@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -103,9 +104,8 @@ class Fit(Point):
         """Log density of what the rig file states within an uncertainty under its prior, up to a number that all
         hypotheses share."""
         w, held = (self.x[self.space.parts[part]] for part in ("constants", "held"))
-        precision = self.space.precision[self.space.parts["held"]]
-        return (-0.5 * float(w @ w) - float(np.linalg.slogdet(self.space.root)[1])
-                - 0.5 * float(precision @ held**2 - np.sum(np.log(precision))))
+        return (-0.5 * float(w @ w + held @ held) - float(np.linalg.slogdet(self.space.root)[1])
+                - sum(math.log(one.sigma) for one in self.space.held))
 
     @property
     def light(self) -> Fit:

@@ -104,9 +104,9 @@ class Held:
     angle: bool
 
     @property
-    def freedom(self) -> float:
-        """Prior precision, in units of its own, where a hypothesis sets it free."""
-        return 1.0 / (1.0 + ((PHASE if self.angle else WIDE) / self.sigma) ** 2)
+    def free(self) -> Held:
+        """The same where a hypothesis sets it free."""
+        return replace(self, sigma=math.hypot(self.sigma, PHASE if self.angle else WIDE))
 
     def value(self, away: float) -> float:
         """So many sigmas from nominal."""
@@ -163,7 +163,8 @@ class Parameters:
     def deviation(self, x: np.ndarray, path: str) -> float:
         """How far a constant is from nominal, in its own sigma, given what the others say of a common factor."""
         if path not in self.paths:
-            return abs(float(x[self.at_held(path)]))
+            k = self.at_held(path)
+            return abs(float(x[k])) * self.held[k - self.parts["held"].start].sigma / self.rig.uncertainty[path]
         logs, i, covariance = self.logs(x), self.paths.index(path), self.rig.log_covariance(list(self.paths))
         shared = np.flatnonzero((covariance[i] != 0.0) & (np.arange(len(logs)) != i))
         gain = np.linalg.solve(covariance[np.ix_(shared, shared)], covariance[shared, i])
@@ -257,7 +258,13 @@ class Parameters:
             here, there = self.parts[part], other.parts[part]
             if here.stop - here.start == there.stop - there.start:
                 out[here] = x[there]
+        out[self.parts["held"]] /= self.wider(other)
         return out
+
+    def wider(self, other: Parameters) -> np.ndarray:
+        """(held) how many times as wide as in another hypothesis the priors are of what the rig file holds of effects.
+        """
+        return np.array([mine.sigma / its.sigma for mine, its in zip(self.held, other.held, strict=True)])
 
     def names(self) -> list[str]:
         """Names in the order of x: ``motor.gain``, ``coulomb_friction@motor.torque``."""
@@ -302,12 +309,11 @@ def parameters(data: Dataset, hypothesis: Hypothesis, centres: Sizes, fixed: Col
     known = int(all(effect.absolute is None for effect in rig.effects))
     shifted = known == 0 or any(cls.absolute is not None for cls, _ in hypothesis.effects)
     zeros = 1 + max(data.zero_groups) - known if shifted else 0
-    held = held_within(rig)
+    held = tuple(one.free if one.path in hypothesis.constants else one for one in held_within(rig))
     stages = [*(effect.stage for effect in rig.effects), *(cls.stage for cls, _ in hypothesis.effects)]
     places = len(data.runs) if Stage.GAP in stages else 0
     mean += [0.0] * (zeros + len(held) + places)
-    precision += [PLACE**-2] * zeros
-    precision += [one.freedom if one.path in hypothesis.constants else 1.0 for one in held] + [1.0] * places
+    precision += [PLACE**-2] * zeros + [1.0] * (len(held) + places)
     return Parameters(rig, hypothesis, paths, np.linalg.cholesky(covariance), tuple(coordinates), known, zeros, held,
                       places, np.array(mean), np.array(precision))
 

@@ -45,11 +45,13 @@ def _pictures(rig: Rig, extended: Rig, runs: list[Run], name: str, at: str) -> l
     """Of one cause: chosen by the effect's own ``picture`` and by the stage at which it acts."""
     if is_constant(name):
         path = constant_path(name)
-        if path in rig.constants():
+        stated = {(e.name, e.at): e for e in rig.effects if path.startswith(f"{e.name}.")}
+        if path in rig.constants() and path in extended.constants():
             without = extended.with_constants({path: rig.constants()[path]})
-        else:
-            stated = {(e.name, e.at): e for e in rig.effects if path.startswith(f"{e.name}.")}
+        elif stated:
             without = extended.with_effects([stated.get((e.name, e.at), e) for e in extended.effects])
+        else:
+            return []
         return command_response(Cause(f"wrong {path}", extended, without, runs))
     effect = next((e for e in extended.effects if (e.name, e.at) == (name, at)), None)
     if effect is None:

@@ -45,13 +45,13 @@ def test_a_size_is_a_cause_where_the_file_states_its_uncertainty_and_its_effect_
     (("coulomb_friction", "motor"), "torque", 0.5), (("gravity_tilt", "base"), "torque", 1.8)])
 def test_a_wrong_size_is_named_with_its_value_and_nothing_else(cause: tuple[str, str], name: str, share: float,
                                                                tmp_path: Any) -> None:
-    case = make_case(65002, [cause], nominal=RIGID_AXIS, count=5, band=(3000.0, 1e6), disturbance=0.02,
+    case = make_case(65011, [cause], nominal=RIGID_AXIS, count=4, band=(3000.0, 1e6), disturbance=0.02,
                      sized_in_world=True)
     (hidden,) = case.truth["causes"]
     sizes = {key: value for key, value in hidden.items() if key not in ("effect", "at")}
     held = made(*cause, **{**sizes, name: share * sizes[name]})
     path = f"{cause[0]}.{name}"
-    rig = holding(held, **{path.replace(".", "__"): 0.05})
+    rig = holding(held, **{f"{cause[0]}__{size}": 0.05 for size in sizes})
     result = diagnose(rig, case.runs, effort="quick")
     assert [c.effect for c in result.diagnosis.causes] == [f"parameter:{path}"], result.diagnosis.causes
     value = result.diagnosis.causes[0].parameters["value"]
