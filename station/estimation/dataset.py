@@ -194,6 +194,11 @@ class Dataset:
         return observers(self.rig, self.noise[0], (FINDS,))[0]
 
     @cached_property
+    def rms_command(self) -> float:
+        """Of all runs, counts."""
+        return float(np.sqrt(np.mean(np.concatenate([run.command for run in self.runs]) ** 2)))
+
+    @cached_property
     def _first(self) -> tuple[int, np.ndarray]:
         """The rows of FIRST seconds, and counts by which the encoder moves from each row of all runs over them."""
         rows = max(math.ceil(FIRST * self.rig.sample_rate), 1)

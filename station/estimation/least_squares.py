@@ -184,8 +184,7 @@ class _Descent:
 
 def own_steps(data: Dataset) -> np.ndarray:
     """(4) finite-difference steps of what runs have of their own."""
-    commands = np.concatenate([run.command for run in data.runs])
-    command = max(float(np.sqrt(np.mean(commands**2))), IDLE * data.rig.amplifier.limit)
+    command = max(data.rms_command, IDLE * data.rig.amplifier.limit)
     return np.array([0.5 * data.rig.angle_per_count, OFFSET_STEP, STEP, STEP * command])
 
 

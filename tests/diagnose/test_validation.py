@@ -34,7 +34,7 @@ PRIOR = np.array([1e6, 0.04, 4.0, 0.25])
 def predictor(errors: np.ndarray, columns: np.ndarray) -> SimpleNamespace:
     """Of a run with one channel that misses ``errors`` (n), less what the run has of its own (4) times ``columns``
     (4, n)."""
-    data = SimpleNamespace(own=np.zeros((1, 4)), free=np.arange(4), runs=[SimpleNamespace(command=np.ones(1))],
+    data = SimpleNamespace(own=np.zeros((1, 4)), free=np.arange(4), rms_command=1.0,
                            rig=SimpleNamespace(angle_per_count=1.0, amplifier=SimpleNamespace(limit=200.0)))
     return SimpleNamespace(data=data, counts=np.array([[float(errors.size)]]), pool=None,
                            scale=lambda run: np.ones((1, errors.size)), measured=lambda run: errors[None],
