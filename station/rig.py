@@ -31,7 +31,7 @@ MAX_PROBLEMS = 6
 """Keys that one message names."""
 PROFILE = frozenset(f"beam.rigidity_{k}" for k in (1, 2, 3))
 """Constants that are exact unless the file states an uncertainty."""
-EXACT = frozenset({"amplifier.limit", "encoder.counts_per_revolution", "beam.elements", "beam.mesh"})
+EXACT = frozenset({"amplifier.limit", "motor.back_emf", "encoder.counts_per_revolution", "beam.elements", "beam.mesh"})
 """Keys of a rig that carry no uncertainty."""
 MAX_SIGMA = math.pi
 """Largest uncertainty: a constant may be 23 times what the file says or a 23rd of it, an angle anywhere."""
@@ -54,11 +54,22 @@ class Amplifier(_Table):
 
 
 class Motor(_Table):
-    """inertia kg m^2, damping N m s/rad, gain N m per count (a negative gain keeps its sign)."""
+    """inertia kg m^2, damping N m s/rad, gain N m per count (a negative gain keeps its sign).
+
+    back_emf: share of the damping that is back-EMF, which no gear carries; the rest rubs.  It matters to a friction
+    that grows with the load on the gears of an axis without a drive, and to nothing else.
+    """
 
     inertia: Positive
     damping: NotNegative
     gain: Annotated[float, Field(allow_inf_nan=False)]
+    back_emf: Annotated[float, Field(ge=0, le=1)] | None = None
+    """None: not known; simulated as 1."""
+
+    @property
+    def electrical_damping(self) -> float:
+        """What of the damping is back-EMF, N m s/rad."""
+        return self.damping * (1.0 if self.back_emf is None else self.back_emf)
 
     @field_validator("gain")
     @classmethod

@@ -63,6 +63,8 @@ EFFECT = '[[effects]]\neffect = "coulomb_friction"\nat = "motor"\ntorque = {}\n'
 @pytest.mark.parametrize(("old", "new", "words"), [
     ("limit = 200.0", 'limit = "200"', "amplifier.limit: .*number without quotes, not '200'"),
     ("damping = 0.158669", "damping = true", "motor.damping: .*number, not True"),
+    ("damping = 0.158669", "damping = 0.158669\nback_emf = 1.5", "motor.back_emf: .*less than or equal to 1, not 1.5"),
+    ("damping = 0.158669", "damping = 0.158669\nback_emf = -0.1", "motor.back_emf: .*greater than or equal to 0"),
     ("elements = 4", "elements = 4.5", "beam.elements: .*integer, not 4.5"),
     ("[uncertainty]", EFFECT.format('"0.49"') + "[uncertainty]", r"effects: \[0\].torque: .* quotes, not '0.49'"),
     ("[uncertainty]", EFFECT.format("true") + "[uncertainty]", r"effects: \[0\].torque: .*number, not True"),

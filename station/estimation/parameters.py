@@ -13,6 +13,7 @@ from functools import cached_property
 from itertools import accumulate
 
 import numpy as np
+from scipy.special import ndtr
 
 from station.estimation.cause import Causes, Key, Sizes, constant
 from station.estimation.dataset import Dataset
@@ -118,7 +119,8 @@ class Held:
 class Parameters:
     """Where the parameters of one hypothesis stand in a vector x, and their prior.
 
-    x = [constants | effects' parameters | encoder zeros | parameters of effects held | places in a gap].
+    x = [constants | effects' parameters | encoder zeros | parameters of effects held | share of back-EMF | places in a
+    gap].
     """
 
     rig: Rig
@@ -133,6 +135,8 @@ class Parameters:
     zeros: int
     """Encoder zeros whose absolute angle is unknown: of the groups of runs after the known one, or of none."""
     held: tuple[Held, ...]
+    back_emf: int
+    """1 where it matters how much of the motor's damping is back-EMF, and the rig file does not say, else 0."""
     gap_places: int
     mean: np.ndarray
     """(p) of the prior."""
@@ -148,7 +152,7 @@ class Parameters:
     def parts(self) -> dict[str, slice]:
         """Where each kind of parameter stands in x."""
         counts = {"constants": self.root.shape[1], "effects": len(self.coordinates), "zeros": self.zeros,
-                  "held": len(self.held), "places": self.gap_places}
+                  "held": len(self.held), "back_emf": self.back_emf, "places": self.gap_places}
         ends = accumulate(counts.values())
         return {name: slice(end - counts[name], end) for name, end in zip(counts, ends, strict=True)}
 
@@ -204,6 +208,8 @@ class Parameters:
         """The rig that a parameter vector describes."""
         logs = np.clip(self.logs(x), -FARTHEST, FARTHEST)
         moved = dict(zip(self.paths, (self._nominal * np.exp(logs)).tolist(), strict=True))
+        if self.back_emf:   # as likely anywhere between none and all of it
+            moved["motor.back_emf"] = float(ndtr(x[self.parts["back_emf"].start]))
         rig = self.rig.with_constants(moved).remeshed()
         own = list(self.rig.effects)
         for held, value in zip(self.held, x[self.parts["held"]], strict=True):
@@ -254,7 +260,7 @@ class Parameters:
         for i, coordinate in enumerate(self.coordinates, self.parts["effects"].start):
             if coordinate.name in sizes.get(coordinate.cause, {}):
                 out[i] = coordinate.to_x(sizes[coordinate.cause][coordinate.name])
-        for part in ("zeros", "held", "places"):
+        for part in ("zeros", "held", "back_emf", "places"):
             here, there = self.parts[part], other.parts[part]
             if here.stop - here.start == there.stop - there.start:
                 out[here] = x[there]
@@ -272,6 +278,7 @@ class Parameters:
                 *(f"{'@'.join(c.cause)}.{c.name}" for c in self.coordinates),
                 *(f"encoder zero {group + 1}" for group in self.free_zeros),
                 *(f"{self.rig.effects[h.effect].name}.{h.name}" for h in self.held),
+                *["share of back-EMF"] * self.back_emf,
                 *(f"place in the gap, run {k + 1}" for k in range(self.gap_places))]
 
 
@@ -311,11 +318,13 @@ def parameters(data: Dataset, hypothesis: Hypothesis, centres: Sizes, fixed: Col
     zeros = 1 + max(data.zero_groups) - known if shifted else 0
     held = tuple(one.free if one.path in hypothesis.constants else one for one in held_within(rig))
     stages = [*(effect.stage for effect in rig.effects), *(cls.stage for cls, _ in hypothesis.effects)]
+    split = int(rig.drive is None and rig.motor.back_emf is None
+                and any(cls.by_load(rig, at) for cls, at in hypothesis.effects))
     places = len(data.runs) if Stage.GAP in stages else 0
-    mean += [0.0] * (zeros + len(held) + places)
-    precision += [PLACE**-2] * zeros + [1.0] * (len(held) + places)
+    mean += [0.0] * (zeros + len(held) + split + places)
+    precision += [PLACE**-2] * zeros + [1.0] * (len(held) + split + places)
     return Parameters(rig, hypothesis, paths, np.linalg.cholesky(covariance), tuple(coordinates), known, zeros, held,
-                      places, np.array(mean), np.array(precision))
+                      split, places, np.array(mean), np.array(precision))
 
 
 def clock_sigma(rig: Rig) -> float:

@@ -54,7 +54,7 @@ def axis_load(rig: Rig, command: np.ndarray, angle: np.ndarray, speed: np.ndarra
     instants.  The size of this is what load_friction takes its fraction of; see there for what counts as which torque.
     """
     parts = assemble(rig)
-    load = rig.motor.gain * command - rig.motor.damping * speed[:, parts.motor]
+    load = rig.motor.gain * command - rig.motor.electrical_damping * speed[:, parts.motor]
     load -= np.hstack([angle, speed]) @ axis_moment(parts, rig.motor.damping)
     for effect in rig.effects:
         if effect.stage is Stage.TORQUE:

@@ -82,7 +82,7 @@ def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP,
     within = any(e.stage in _BETWEEN or e.states for e in laws) or any(late.values())
     substeps = math.ceil(period / longest - 1e-9) if within else 1
     ports = _ports(rig, laws)
-    loaded = any(by_load(rig, e) for e in laws)
+    loaded = any(e.by_load(rig, e.at) for e in laws)
     if loaded and rig.drive is None and rig.beam is not None:
         truncation = 0.0   # the moment at the beam's root is the sum of all modes
     h = period / substeps
@@ -100,18 +100,13 @@ def build(rig: Rig, truncation: float = TRUNCATION, longest: float = SUBSTEP,
         joint_damping=np.array([0.0 if j is None else j.damping for j in joints]),
         load_port=ports.index("drive") if loaded and rig.drive is not None else -1,
         axis_port=ports.index("motor") if loaded and rig.drive is None else -1,
-        motor_gain=rig.motor.gain, motor_damping=rig.motor.damping, slots=table, first=first, arguments=arguments,
+        motor_gain=rig.motor.gain, back_emf=rig.motor.electrical_damping, slots=table, first=first, arguments=arguments,
         limit=rig.amplifier.limit, length=rig.beam.length if rig.beam else 0.0,
         counts_per_radian=1.0 / rig.angle_per_count,
         encoder_delay=late[Stage.ENCODER_DELAY] / h, accel_delay=late[Stage.ACCEL_DELAY] / h)
     filters = int(first[stepper.ACCEL_FILTER + 1] - first[stepper.ACCEL_FILTER])
     rings = int(max(plan.encoder_delay, plan.accel_delay)) + 3
     return Model(**vars(found), rig=rig, plan=plan, effect_states=states, filters=filters, rings=rings)
-
-
-def by_load(rig: Rig, effect: Effect) -> bool:
-    """Whether an effect's law asks for the load on the gears: friction of a drive, or of what stands for it."""
-    return effect.stage is Stage.FRICTION and (effect.at == "drive" or rig.drive is None and "drive" in effect.sites)
 
 
 def _ports(rig: Rig, laws: list[Effect]) -> tuple[str, ...]:

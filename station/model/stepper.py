@@ -81,8 +81,8 @@ class Plan(NamedTuple):
     """Port of a motor without a drive for load-dependent friction (-1: none)."""
     motor_gain: float
     """N m per count."""
-    motor_damping: float
-    """N m s/rad."""
+    back_emf: float
+    """N m s/rad: what of the motor's damping the gears do not carry."""
     moment: np.ndarray
     """(2b) output row: torque of the beam and the clamp on the axis of a motor without a drive, N m."""
     moment_gain: np.ndarray
@@ -263,13 +263,13 @@ def _axis_load(laws, axis, torque, given, x, v):
     """Mean load over a step on the gears of a motor that moves its load without a drive, N m.
 
     |motor torque - external torque| (Duclusaud, Passault et al., Extended Friction Models for the Physics Simulation of
-    Servo Actuators, 2024, eq. of model M3).  Motor torque: gain times command, less motor.damping times speed (their
-    back-EMF), and what acts at the motor; external torque: what acts at the base, and the beam's.  ``given``: gain
-    times command and the beam's torque without port torques, ``x``, ``v`` angle and speed, all means over the step.
+    Servo Actuators, 2024, eq. of model M3).  Motor torque: gain times command, less the back-EMF, and what acts at the
+    motor; external torque: what acts at the base, and the beam's.  ``given``: gain times command and the beam's torque
+    without port torques, ``x``, ``v`` angle and speed, all means over the step.
     """
     slots, first, arguments, effects, h = laws
-    port, damping, moment_gain = axis
-    load = given[0] - damping * v - given[1]
+    port, back_emf, moment_gain = axis
+    load = given[0] - back_emf * v - given[1]
     for q in range(torque.size):
         load -= 0.5 * moment_gain[q] * torque[q]
         if q != port:
@@ -411,7 +411,7 @@ def advance(plan, state, command, disturbance, work):
     laws = (plan.slots, plan.first, plan.arguments, state.effects, plan.h)
     joints = (plan.port_joint, plan.joint_stiffness, plan.joint_damping)
     gains = (plan.angle_gain, plan.speed_gain)
-    axis = (plan.axis_port, plan.motor_damping, plan.moment_gain)
+    axis = (plan.axis_port, plan.back_emf, plan.moment_gain)
     driven, moment = 0.0, 0.0
     for step in range(plan.substeps):
         extra = 0.0

@@ -14,7 +14,6 @@ import numpy as np
 from station.estimation.cause import constant_path, is_constant
 from station.estimation.pool import Pool
 from station.model.effects import Stage, catalogue
-from station.model.simulate import by_load
 from station.pictures.joints import wind_up
 from station.pictures.missing import missing_torque
 from station.pictures.picture import DELAYS, Cause, Evidence
@@ -77,7 +76,7 @@ def _pictures(rig: Rig, extended: Rig, runs: list[Run], name: str, at: str) -> l
         return wind_up(cause, effect)
     if effect.stage is Stage.COMMAND:
         return against_command(cause)
-    if by_load(extended, effect):
+    if effect.by_load(extended, effect.at):
         return against_load(cause, effect)
     if effect.stage in (Stage.TORQUE, Stage.FRICTION) and effect.picture in ("speed", "angle"):
         return against_motion(cause, effect)

@@ -115,6 +115,23 @@ def test_a_pendulum_that_does_not_hang_at_the_encoders_zero_is_not_accused(seed,
         np.testing.assert_allclose(zeroed.reference, run.reference, atol=0.0 if run.open_loop else 2.0)
 
 
+@pytest.mark.parametrize(("seed", "back_emf", "hidden"), [
+    (66009, 0.0, ["load_friction", ("coulomb_friction", "motor")]),
+    pytest.param(66012, 0.3, ["load_friction"], marks=pytest.mark.long)])
+def test_friction_by_load_keeps_its_value_where_bearings_rub_and_no_rig_file_says_so(seed, back_emf, hidden):
+    """What rubs in the bearings the gears carry, back-EMF they do not; taken for all of it another fraction comes out,
+    or friction alone is not met at all."""
+    nominal = SERVO | {"motor": SERVO["motor"] | {"back_emf": back_emf}}
+    case = make_case(seed, hidden, nominal=nominal, count=5, disturbance=0.02, sized_in_world=True,
+                     known_controller=bool(seed % 2))
+    result = diagnose(Rig.model_validate(SERVO), case.runs, effort="quick")
+    causes = {(cause.effect, cause.at): cause for cause in result.diagnosis.causes}
+    assert set(causes) == {(cause["effect"], cause["at"]) for cause in case.truth["causes"]}
+    fraction = causes["load_friction", "motor"].parameters["fraction"]
+    assert fraction.low < case.truth["causes"][0]["fraction"] < fraction.high
+    assert Rig.from_toml(result.extended_rig.to_toml()).motor.back_emf == result.extended_rig.motor.back_emf < 0.7
+
+
 def test_friction_and_a_bias_that_all_runs_share_are_named_under_a_cascade():
     """Every run may have a bias of its own, which explains as much: four that are the same are one cause."""
     loop = "cascade"

@@ -142,3 +142,24 @@ def test_a_run_that_is_left_out_keeps_a_zero_that_no_other_has() -> None:
     first = space.parts["zeros"].start
     np.testing.assert_array_equal(kept, [np.zeros(space.size), np.arange(space.size) == first + 1,
                                          np.zeros(space.size)])
+
+
+LOAD = effect_class("load_friction")
+LOADED = Hypothesis(((FRICTION, "motor"), (LOAD, "motor")))
+SIZES = CENTRES | {("load_friction", "motor"): {"fraction": 0.2}}
+
+
+def test_what_share_of_the_damping_is_back_emf_is_open_where_it_matters_and_is_not_stated() -> None:
+    """Of an axis with friction by load: as likely anywhere from none to all of it."""
+    space = parameters(DATA, LOADED, SIZES)
+    k = space.parts["back_emf"].start
+    assert space.names()[k] == "share of back-EMF" and space.size == len(space.names())
+    steps = np.eye(space.size)[k] / math.sqrt(space.precision[k])
+    shares = [space.rig_at(space.mean + z * steps).motor.back_emf for z in np.random.default_rng(1).normal(size=2000)]
+    np.testing.assert_allclose(np.quantile(shares, [0.1, 0.25, 0.5, 0.75, 0.9]), [0.1, 0.25, 0.5, 0.75, 0.9], atol=0.04)
+    assert space.rig_at(space.mean).constants() == pytest.approx(DATA.rig.constants())
+    stated = AXIS.with_constants({"motor.back_emf": 0.7})
+    for other in (parameters(dataset(stated, runs_of(AXIS)), LOADED, SIZES), parameters(DATA, ONE, CENTRES)):
+        assert other.back_emf == 0 and other.rig_at(other.mean).motor.back_emf == other.rig.motor.back_emf
+    more = parameters(DATA, LOADED + Hypothesis(((DELAY, "amplifier"),)), SIZES)
+    assert more.rig_at(more.carried(space, space.mean + steps)).motor.back_emf == pytest.approx(0.8413, abs=1e-4)

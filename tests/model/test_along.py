@@ -54,14 +54,16 @@ def test_without_effects_the_command_reaches_the_motor_as_it_is():
 
 ARM = {key: value for key, value in SFLR.items() if key != "drive"}
 LOAD = ("load_friction", "motor", {"fraction": 0.3})
+RUBBING = RIGID_AXIS | {"motor": RIGID_AXIS["motor"] | {"back_emf": 0.3}}
 
 
 @pytest.mark.parametrize(("table", "others"), [
     (RIGID_AXIS, [("gravity_tilt", "base", {"torque": 0.6, "angle": 0.2})]),
     (RIGID_AXIS, [("torque_ripple", "motor", {"amplitude": 0.1, "cycles": 3.0, "phase": 1.0})]),
+    (RUBBING, [("gravity_tilt", "base", {"torque": 0.6, "angle": 0.2})]),
     (ARM, [("cable_spring", "base", {"stiffness": 0.5, "rest": 0.1})]),
     (ARM, [("hardening_spring", "clamp", {"cubic": 2000.0})]),
-], ids=["pendulum", "ripple", "arm with cable", "arm with hardening clamp"])
+], ids=["pendulum", "ripple", "rubbing bearings", "arm with cable", "arm with hardening clamp"])
 def test_friction_along_a_motion_is_the_fraction_of_the_load(table, others):
     """While the motor turns one way, what the equations of motion leave over is -fraction |load| sign(speed)."""
     rig, free = made(table, *others, LOAD), made(table, *others)

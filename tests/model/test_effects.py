@@ -307,21 +307,23 @@ def test_load_friction_without_a_drive_agrees_with_the_independent_generator_and
     table = {key: value for key, value in SFLR.items() if key not in (*missing, "uncertainty")}
     if "beam" in missing:
         table = RIGID_AXIS
+    table = table | {"motor": table["motor"] | {"back_emf": 0.4}}
     cls, test = effect_class("load_friction"), step_test(RATE, "p2", 60.0, 1.2)
     truth = Truth(table, [*others, {"effect": "load_friction", "at": "motor", "fraction": 0.3}], elements=4, modes=9,
                   step=STEP)
     output = truth.run(test.reference, CONTROLLERS["p2"], start_angle=START, rounding=False)
 
-    def difference(right: list[Effect]) -> np.ndarray:
+    def difference(right: list[Effect], back_emf: float = 0.4) -> np.ndarray:
         held = [effect_class(e["effect"])(**{k: v for k, v in e.items() if k != "effect"}) for e in others]
-        made = simulate_model(build(Rig.model_validate(table).with_effects(held + right), longest=1e-4), as_run(test),
-                              rounding=False, start_angle=START)
+        rig = Rig.model_validate(table).with_constants({"motor.back_emf": back_emf}).with_effects(held + right)
+        made = simulate_model(build(rig, longest=1e-4), as_run(test), rounding=False, start_angle=START)
         gaps = [np.max(np.abs(made.encoder - output.encoder))]
         return np.array(gaps + ([] if output.accel is None else [np.max(np.abs(made.accel - output.accel))]))
 
     assert np.all(difference([cls(at="motor", fraction=0.3)]) <= TOLERANCE[: 1 if "beam" in missing else 2])
     for wrong in ([], [cls.model_construct(at="motor", fraction=-0.3)], [cls(at="motor", fraction=0.33)]):
         assert difference(wrong)[0] > SEEN * TOLERANCE[0], wrong
+    assert difference([cls(at="motor", fraction=0.3)], 0.9)[0] > SEEN * TOLERANCE[0]
 
 
 def test_load_friction_stands_at_the_drive_or_where_there_is_none_at_the_motor():
@@ -333,11 +335,11 @@ def test_load_friction_stands_at_the_drive_or_where_there_is_none_at_the_motor()
 
 
 def plain_pendulum(command: np.ndarray, fraction: float, gravity: float, step: float,
-                   external: float = 1.0) -> np.ndarray:
+                   external: float = 1.0, back_emf: float = 1.0) -> np.ndarray:
     """Angles (n), rad, of the rigid axis as a pendulum with friction of fraction |motor torque - external torque|.
 
     Written out by hand from Duclusaud et al., semi-implicit Euler: friction is what stops the axis within the step,
-    clipped at its level.  ``external``: share of gravity that counts as load.
+    clipped at its level.  ``external``: share of gravity that counts as load, ``back_emf``: of the damping.
     """
     inertia, damping, gain = (RIGID_AXIS["motor"][key] for key in ("inertia", "damping", "gain"))
     angle, speed, rows, each = 0.0, 0.0, [], round(1.0 / (RATE * step))
@@ -345,27 +347,32 @@ def plain_pendulum(command: np.ndarray, fraction: float, gravity: float, step: f
         rows.append(angle)
         for _ in range(each):
             motor, pull = gain * count - damping * speed, -gravity * math.sin(angle)
-            level = fraction * abs(motor - external * pull)
+            level = fraction * abs(motor + (1.0 - back_emf) * damping * speed - external * pull)
             friction = min(max(-(inertia / step * speed + motor + pull), -level), level)
             speed += step / inertia * (motor + pull + friction)
             angle += step * speed
     return np.array(rows)
 
 
-def test_load_friction_on_an_axis_agrees_with_a_plain_integration():
+@pytest.mark.parametrize("back_emf", [None, 1.0, 0.35, 0.0])
+def test_load_friction_on_an_axis_agrees_with_a_plain_integration(back_emf):
     """Of first order in its step, so that its error halves; with the load taken otherwise it is far off."""
-    command = np.concatenate([np.full(200, 90.0), np.full(150, -40.0), np.zeros(150), np.full(400, 45.0)])
+    command = np.concatenate([np.full(200, 90.0), np.full(150, -40.0), np.zeros(150), np.full(500, 45.0)])
     zero = np.zeros(command.size)
     run = Run("pendulum", np.arange(command.size) / RATE, command, command, zero, zero, RunMetadata())
-    rig = Rig.model_validate(RIGID_AXIS).with_effects(
+    table = RIGID_AXIS | {"motor": RIGID_AXIS["motor"] | ({} if back_emf is None else {"back_emf": back_emf})}
+    share = 1.0 if back_emf is None else back_emf
+    rig = Rig.model_validate(table).with_effects(
         [effect_class("gravity_tilt")(at="base", torque=0.6, angle=0.0), effect_class("load_friction")(
             at="motor", fraction=0.3)])
     angle = simulate_model(build(rig, longest=5e-5), run, rounding=False).encoder * rig.angle_per_count
-    coarse, fine = (np.abs(plain_pendulum(command, 0.3, 0.6, step) - angle).max() for step in (4e-5, 2e-5))
+    coarse, fine = (np.abs(plain_pendulum(command, 0.3, 0.6, step, back_emf=share) - angle).max()
+                    for step in (4e-5, 2e-5))
     assert 0.45 * coarse < fine < 0.55 * coarse and fine < 1e-4
-    for fraction, external in ((0.3, 0.0), (0.3, -1.0), (0.0, 1.0), (-0.3, 1.0), (0.31, 1.0)):
-        wrong = plain_pendulum(command, fraction, 0.6, 4e-5, external)
-        assert np.abs(wrong - angle).max() > 20.0 * coarse, (fraction, external)
+    for fraction, external, other in ((0.3, 0.0, share), (0.3, -1.0, share), (0.0, 1.0, share), (-0.3, 1.0, share),
+                                      (0.31, 1.0, share), (0.3, 1.0, abs(share - 0.5))):
+        wrong = plain_pendulum(command, fraction, 0.6, 4e-5, external, other)
+        assert np.abs(wrong - angle).max() > 20.0 * coarse, (fraction, external, other)
     assert angle[-1] > 0.3 and np.ptp(angle[-100:]) < 1e-12, "a load that is shared with the motor is held"
 
 

@@ -29,8 +29,9 @@ How the contract is read where it leaves room:
 - Backlash: the law as written. In contact the damper acts with the whole relative speed, so it strikes on
   entry and may pull on the way out, until |motor - base| falls to gap / 2.
 - Hardening in the drive cubes what exceeds the gap; load_friction takes spring, damper and cubic together. Without
-  a drive its load is motor torque (gain times command, less motor.damping times speed, ripple and drag at the
-  motor) less external torque (what acts at the base, and the beam's).
+  a drive its load is motor torque (gain times command, less the back-EMF, ripple and drag at the motor) less
+  external torque (what acts at the base, and the beam's). Back-EMF is that share of motor.damping which
+  motor.back_emf says, all of it by default; cases draw it from 0 to 1 where the nominal rig states none.
 - stribeck_friction: static_torque holds at rest, the curve applies once it moves. Dry frictions of one part
   add.
 - A rig without drive has motor and base in one: frictions at both add.

@@ -490,6 +490,9 @@ def make_case(
     for _ in range(40):
         own, common = draw_logs(nominal, None, rng, limit)
         rig = shifted(nominal, own, common)
+        if rig.get("drive") is None and "back_emf" not in rig["motor"]:
+            # No rig file says it; of a generator of its own, so that seeds keep their other draws.
+            rig["motor"]["back_emf"] = float(np.random.default_rng([seed, 0xE3F]).uniform())
         draw = draw_servo_tests if nominal["name"] == SERVO["name"] else draw_tests
         drawn_tests = list(tests) if tests is not None else draw(rng, nominal, count)
         conditions = _draw_conditions(rng, drawn_tests, accel_sigma)

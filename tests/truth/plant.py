@@ -105,7 +105,7 @@ class Mechanics:
     port: Array  # (PORTS, nq): rows that read a port's position, and along which its force acts
     encoder: Array  # row that the encoder reads
     lift: Array  # (3, nq) q for a unit common rotation, a unit motor twist (motor alone), a unit tip by the first mode
-    load: Array  # (2, nq) rows on q and q': torque that the beam takes from the base, and motor.damping times speed
+    load: Array  # (2, nq) rows on q and q': torque that the beam takes from the base, and the back-EMF
     has_tip: bool
 
 
@@ -180,7 +180,7 @@ def mechanics(
         load[0], load[1] = clamp["stiffness"] * (base - root), clamp["damping"] * (base - root)
     elif beam:
         load[:, at] = np.outer([1.0, beam["damping"]], bends)
-    load[1] -= rig["motor"]["damping"] * motor
+    load[1] -= rig["motor"]["damping"] * rig["motor"].get("back_emf", 1.0) * motor
     loose = np.zeros(size)
     if "tip_rattle" in outside:
         loose = e("tip_rattle")

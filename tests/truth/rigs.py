@@ -82,7 +82,7 @@ _UNCERTAIN_TABLES = ("motor", "drive", "base", "clamp", "beam", "tip")
 
 def uncertain_keys(rig: RigDict) -> list[str]:
     """Dotted names of the constants that an uncertainty covers; exact and integer ones are left out."""
-    keys = [f"{t}.{k}" for t in _UNCERTAIN_TABLES for k in rig.get(t) or {} if k != "elements"]
+    keys = [f"{t}.{k}" for t in _UNCERTAIN_TABLES for k in rig.get(t) or {} if k not in ("elements", "back_emf")]
     return keys + (["accelerometer.gain"] if rig.get("accelerometer") else [])
 
 

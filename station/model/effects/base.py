@@ -234,6 +234,11 @@ class Effect(BaseModel):
         return {}
 
     @classmethod
+    def by_load(cls, rig: Rig, at: str) -> bool:
+        """Whether the law asks for the load on the gears: friction of a drive, or of what stands for it."""
+        return cls.stage is Stage.FRICTION and (at == "drive" or rig.drive is None and "drive" in cls.sites)
+
+    @classmethod
     def fits(cls, rig: Rig, at: str) -> bool:
         """Whether the rig has what the effect acts on; without a drive motor and base turn as one."""
         tables = {"amplifier": "motor", "clock": "motor"} | ({"base": "motor"} if rig.drive is None else {})

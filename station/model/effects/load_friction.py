@@ -16,9 +16,9 @@ class LoadFriction(Effect):
     The load is the size of the drive's torque.  On a rig without a drive, whose gears are thought of as stiff between
     the motor and what it moves, it is |motor torque - external torque|, each as it acts on the axis (Duclusaud,
     Passault et al., Extended Friction Models for the Physics Simulation of Servo Actuators, 2024, model M3).  Motor
-    torque is motor.gain times the command that acts, less motor.damping times the speed (which is the back-EMF of a
-    motor that a voltage drives), and what acts at the motor (ripple, drag); external torque is what acts at the base
-    (gravity, cable, drag) and the torque of a beam.  Dry friction is no load.
+    torque is motor.gain times the command that acts, less the back-EMF (motor.back_emf of motor.damping, times
+    speed), and what acts at the motor (ripple, drag); external torque is what acts at the base (gravity, cable, drag)
+    and the torque of a beam.  Dry friction is no load.
     """
 
     name, title = "load_friction", "load-dependent friction"
