@@ -16,14 +16,13 @@ from station.diagnose.experiment import choose
 from station.diagnose.finding import between_runs, bought, find
 from station.diagnose.logs import as_logged
 from station.diagnose.odds import Odds, estimates, in_order, with_outside
-from station.diagnose.ranking import notes, ranking
+from station.diagnose.ranking import in_file, notes, ranking
 from station.diagnose.result import (
     Cause,
     Choice,
     Diagnosis,
     DiagnosisResult,
     Disturbance,
-    Ranked,
     RunComparison,
     RunFile,
     Verdict,
@@ -124,7 +123,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
         disturbance=_disturbance(predictor, [nominal(data, nothing), nothing, shown]),
         between_runs=between_runs(search, finding), rig=rig.name, effort=effort,
         runs=[RunFile(run=run.name) for run in given],
-        ranking=[Ranked(effect=r.effect, at=r.at, probability=r.probability, note=r.note) for r in ranked])
+        ranking=[in_file(row) for row in ranked])
     drawn = [row.zeroed(rig.angle_per_count)
              for row, record in zip(comparisons, data.records, strict=True) if not record.finding.any()]
     drawn = [replace(run, name=given[0].name) for run in drawn[:1]] if len(given) == 1 else drawn

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from station.diagnose.finding import Finding
 from station.diagnose.odds import Odds, may_be_accused
-from station.diagnose.result import CHANNELS, RankedCause, Reason
+from station.diagnose.result import CHANNELS, Ranked, RankedCause, Reason
 from station.diagnose.selection import Selection, log_prior
 from station.diagnose.thresholds import AS_GOOD, BETTER, LIKELY, NOISE
 from station.diagnose.unseen import Unseen
@@ -21,6 +21,14 @@ def ranking(search: Selection, found: Odds, finding: Finding, unseen: Unseen) ->
     rows = [_row(search, found, unseen, key) for key in dict.fromkeys([*alone, *sorted(found.causes)])]
     rows.sort(key=lambda row: (-round(row.probability, 6), -row.delta_chi2))
     return [replace(row, reason=_reason(search, found, finding, unseen, row, rows[0])) for row in rows]
+
+
+def in_file(row: RankedCause) -> Ranked:
+    """A candidate as the diagnosis file has it; of one that is likely and not named it says why."""
+    note = row.note or {"may_be_none": "its own 95 % interval holds that it is not there",
+                        "left_out": "does not help on unseen runs", "too_large": "larger than such a thing can be",
+                        "resamples": "too few resamples name it"}.get(row.reason.kind, "")
+    return Ranked(effect=row.effect, at=row.at, probability=row.probability, note=note)
 
 
 def _row(search: Selection, found: Odds, unseen: Unseen, key: Key) -> RankedCause:

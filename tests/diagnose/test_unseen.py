@@ -54,4 +54,6 @@ def test_what_may_be_none_by_its_own_interval_is_not_stated_and_says_so(monkeypa
     assert {(effect.name, effect.at) for effect in result.extended_rig.effects} == {friction}
     [row] = [row for row in result.ranking if row.effect == "input_delay"]
     assert row.reason.kind == "may_be_none"
+    [told] = [row for row in result.diagnosis.ranking if row.effect == "input_delay"]
+    assert told.note == "its own 95 % interval holds that it is not there"
     assert any("intervals hold that they are not there: input_delay at amplifier" in note for note in result.notes)
