@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+
+from scipy.special import ndtr
 
 from station.diagnose.finding import Finding
 from station.diagnose.odds import Odds, may_be_accused
@@ -12,6 +15,7 @@ from station.diagnose.thresholds import AS_GOOD, BETTER, LIKELY, NOISE
 from station.diagnose.unseen import Unseen
 from station.diagnose.validation import standard_error, unseen_gain
 from station.estimation.cause import Causes, Key, in_words, is_constant
+from station.estimation.identifiability import NORMAL
 from station.rig import Rig
 
 
@@ -118,6 +122,11 @@ def notes(rig: Rig, search: Selection, finding: Finding, unseen: Unseen) -> list
     if unstable:
         found.append("in the best set but not stated, for too few resamples name them: "
                      + ", ".join(f"{in_words(key)} ({spoken.stability.get(key, 0.0):.2f})" for key in unstable))
+    fit, k = finding.fit, finding.fit.space.parts["back_emf"].start
+    if fit.space.back_emf:
+        low, share, high = (float(ndtr(fit.x[k] + s * NORMAL * math.sqrt(fit.covariance[k, k]))) for s in (-1, 0, 1))
+        found.append(f"of motor.damping {100.0 * share:.0f} % ({100.0 * low:.0f} to {100.0 * high:.0f} %) is back-EMF, "
+                     "which loads no gear")
     if rig.beam is not None and data.rig.beam.elements != rig.beam.elements:
         found.append(f"simulated with {data.rig.beam.elements} beam elements; with the {rig.beam.elements} of the "
                      "rig file the mesh's own error would look like physics")

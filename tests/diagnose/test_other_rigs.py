@@ -6,6 +6,7 @@ share.
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 
@@ -129,7 +130,10 @@ def test_friction_by_load_keeps_its_value_where_bearings_rub_and_no_rig_file_say
     assert set(causes) == {(cause["effect"], cause["at"]) for cause in case.truth["causes"]}
     fraction = causes["load_friction", "motor"].parameters["fraction"]
     assert fraction.low < case.truth["causes"][0]["fraction"] < fraction.high
-    assert Rig.from_toml(result.extended_rig.to_toml()).motor.back_emf == result.extended_rig.motor.back_emf < 0.7
+    assert Rig.from_toml(result.extended_rig.to_toml()).motor.back_emf == result.extended_rig.motor.back_emf
+    [note] = [note for note in result.notes if "back-EMF" in note]
+    share, low, high = (0.01 * float(percent) for percent in re.findall(r"\d+", note))
+    assert low - 0.01 <= back_emf <= high + 0.01 and abs(share - result.extended_rig.motor.back_emf) < 0.05
 
 
 def test_friction_and_a_bias_that_all_runs_share_are_named_under_a_cascade():
