@@ -259,14 +259,15 @@ def may_be_none(found: Fit, key: Key, values: dict[str, Estimate]) -> bool:
     return any(holds_none(one) for one in sizes if one not in finite) or bool(finite) and all(map(holds_none, finite))
 
 
-def estimates(found: Fit, rougher: Fit, left_out: Sequence[Fit],
+def estimates(found: Fit, rougher: Fit, left_out: Sequence[Fit], *, student: bool = True,
               ) -> tuple[dict[Key, dict[str, Estimate]], dict[str, Estimate]]:
     """Fitted parameters of each cause, and the rig's constants, with 95 % intervals.
 
     A cause's parameters are known no better than runs agree in them (``spread``), nor than they stay where they are
     when run after run is left out (``left_out``: R fits, one without each): by the jackknife their variance is at least
     (R - 1)/R sum (x_r - mean)^2, whatever the errors are like (Efron and Stein, Ann. Stat. 9, 1981), itself known to
-    R - 1 degrees of freedom (Student's t in place of the normal: Tukey, Ann. Math. Stat. 29, 1958, p. 614).
+    R - 1 degrees of freedom (Student's t in place of the normal: Tukey, Ann. Math. Stat. 29, 1958, p. 614), unless not
+    to be widened by it (``student``).
     A level at which readings stand still is known no better than their one rounding error, uniform over a count.
     ``rougher``: the same set fitted with coarser simulations; how far it lies from ``found`` is what the simulation's
     own steps leave uncertain, and is added to the variance.
@@ -279,7 +280,7 @@ def estimates(found: Fit, rougher: Fit, left_out: Sequence[Fit],
 
     def jackknife(direction: np.ndarray) -> float:
         values = without @ direction if len(without) >= SEVERAL else np.zeros(1)
-        wider = float(stdtrit(max(len(values) - 1, 1), 0.975)) / NORMAL
+        wider = float(stdtrit(max(len(values) - 1, 1), 0.975)) / NORMAL if student else 1.0
         return wider * math.sqrt((len(values) - 1) * float(np.var(values)))
     log_sd = np.sqrt(np.diag(space.root @ covariance[:n, :n] @ space.root.T) + (space.root @ shift[:n]) ** 2)
     constants = {}

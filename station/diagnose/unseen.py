@@ -50,12 +50,14 @@ class Unseen:
 def sized(search: Selection, finding: Finding) -> tuple[Finding, list[Fit]]:
     """What is said without causes that may be none by their own intervals, and its fits without each run in turn.
 
-    One goes at a time, the one that adds least: of two that can stand in for each other either may be none.
+    One goes at a time, the one that adds least: of two that can stand in for each other either may be none.  By the
+    normal distribution: of three runs Student's t makes a size of up to 4.3 standard errors none, and that it is there
+    the draws say, too.
     """
     while True:
         found = finding.fit
         left_out = leave_each_out(search.predictor, found.weighing, found, far=not finding.left.is_noise)
-        values, _ = estimates(found, finding.rough, left_out)
+        values, _ = estimates(found, finding.rough, left_out, student=False)
         none = [key for key in sorted(found.key) if may_be_none(found, key, values[key])]
         if not none:
             return finding, left_out
