@@ -31,9 +31,10 @@ def diagnose(
     overwrite: Overwrite = False,
 ) -> None:
     """Name what the simulation gets wrong on these runs, how sure that is, and what to test next."""
+    from station.diagnose import PREPARE
     from station.estimation.pool import SIZE, Pool
 
-    Pool(SIZE, "station.diagnose.diagnose:prepare")     # the others load theirs while this one does
+    Pool(SIZE, PREPARE)     # the others load theirs while this one does
     from station.diagnose.diagnose import diagnose as find
     from station.rig import load_rig
     from station.view.terminal import print_diagnosis

@@ -8,6 +8,9 @@ from importlib import import_module
 from types import ModuleType
 from typing import Any
 
+PREPARE = "station.diagnose.diagnose:load_compiled"
+"""For the ``Pool`` of a diagnosis: of that module, so that what it imports is loaded, too."""
+
 
 class _Callable(ModuleType):
     def __call__(self, *arguments: Any, **options: Any) -> Any:

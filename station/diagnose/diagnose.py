@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from station.diagnose import PREPARE
 from station.diagnose.equivalences import Setting, completed, exact_sizes, rivals, standing, with_word
 from station.diagnose.experiment import choose
 from station.diagnose.finding import between_runs, bought, find
@@ -39,7 +40,7 @@ from station.estimation.cause import Key, is_constant
 from station.estimation.dataset import by_content, dataset
 from station.estimation.fitted import Fit
 from station.estimation.least_squares import CANNOT_SIMULATE, DIVERGED
-from station.estimation.loaded import load_compiled
+from station.estimation.loaded import load_compiled as load_compiled  # what PREPARE names
 from station.estimation.observer import observers, torque_gains
 from station.estimation.pool import SIZE, Pool
 from station.estimation.prediction import Predictor, built, in_motion, predict_run
@@ -62,7 +63,7 @@ def diagnose(rig: Rig, runs: Sequence[Run], effort: str = "full",
     begun = time.perf_counter()
     if effort not in EFFORTS:
         raise UsageError(f"--effort: {effort!r} is none of {', '.join(EFFORTS)}")
-    pool = Pool(threads, f"{__name__}:{load_compiled.__name__}")    # of this module: what it needs is loaded, too
+    pool = Pool(threads, PREPARE)
     with threadpool_limits(1):
         found = _diagnose(rig, by_content(runs), effort, progress or (lambda text, share: None), pool)
     _put_in_order(found)

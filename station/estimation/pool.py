@@ -169,7 +169,7 @@ class _Beside:
         """Have at least so many, if the system lets this process begin them."""
         if count > 0 and self.lock.acquire(blocking=False):
             try:
-                self.helpers = [helper for helper in self.helpers if helper.alive]
+                self.helpers = [helper for helper in self.helpers if helper.alive and helper.process.poll() is None]
                 with suppress(OSError):
                     while len(self.helpers) < count:
                         self.helpers.append(_Helper(prepare))

@@ -5,13 +5,14 @@ import sys
 
 import pytest
 
+import station.diagnose
 from station.estimation.loaded import PREPARE
 
 DISPATCHERS = ("station.estimation.prediction:_predict", "station.estimation.observer:_gain",
                "station.model.modal:_first_order", "station.model.sampled:_responses")
 
 
-@pytest.mark.parametrize("prepare", [PREPARE, "station.diagnose.diagnose:load_compiled"])
+@pytest.mark.parametrize("prepare", [PREPARE, station.diagnose.PREPARE])
 def test_what_predictions_call_is_there_afterwards(prepare: str) -> None:
     script = ("import importlib, sys\n"
               "def named(path):\n"

@@ -14,6 +14,8 @@ from pathlib import Path
 import psutil
 import pytest
 
+import station.diagnose
+import station.estimation.loaded
 from station.estimation import pool as module
 from station.estimation.pool import Pool
 from station.model.simulate import build
@@ -80,6 +82,19 @@ def test_what_a_lost_process_leaves_is_done_here(pool: Pool) -> None:
     assert not any(helper.alive for helper in module._beside.helpers)
     Pool(2)
     assert any(helper.alive for helper in module._beside.helpers)
+
+
+@pytest.mark.parametrize("prepare", [station.diagnose.PREPARE, station.estimation.loaded.PREPARE])
+def test_who_could_not_load_what_is_needed_is_begun_anew(prepare: str) -> None:
+    """And what diagnoses and fits name as needed can be loaded: else all would be done by one process."""
+    module._beside.end()
+    Pool(2, "station.diagnose.diagnose:nothing_of_this_name")
+    [lost] = [helper for helper in module._beside.helpers if helper.alive]
+    until(lambda: lost.process.poll() is not None)
+    pool = Pool(2, prepare)
+    until(lambda: any(helper.ready for helper in module._beside.helpers))
+    assert len({process for _, process in pool.map(slowly, range(4))}) == 2
+    module._beside.end()
 
 
 def test_what_cannot_be_sent_is_done_here(pool: Pool) -> None:
