@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
-from scipy.special import ndtr
+import numpy as np
 
 from station.diagnose.finding import Finding
 from station.diagnose.odds import Odds, may_be_accused
-from station.diagnose.result import CHANNELS, Ranked, RankedCause, Reason
+from station.diagnose.result import CHANNELS, NOT_NAMED, Ranked, RankedCause, Reason
 from station.diagnose.selection import Selection, log_prior
 from station.diagnose.thresholds import AS_GOOD, BETTER, LIKELY, NOISE
 from station.diagnose.unseen import Unseen
@@ -28,10 +27,8 @@ def ranking(search: Selection, found: Odds, finding: Finding, unseen: Unseen) ->
 
 
 def in_file(row: RankedCause) -> Ranked:
-    """A candidate as the diagnosis file has it; of one that is likely and not named it says why."""
-    note = row.note or {"may_be_none": "its own 95 % interval holds that it is not there",
-                        "left_out": "does not help on unseen runs", "too_large": "larger than such a thing can be",
-                        "resamples": "too few resamples name it"}.get(row.reason.kind, "")
+    """A candidate as the diagnosis file has it; of one that may add enough and is not named it says why."""
+    note = row.note or {**NOT_NAMED, "resamples": "too few resamples name it"}.get(row.reason.kind, "")
     return Ranked(effect=row.effect, at=row.at, probability=row.probability, note=note)
 
 
@@ -122,11 +119,11 @@ def notes(rig: Rig, search: Selection, finding: Finding, unseen: Unseen) -> list
     if unstable:
         found.append("in the best set but not stated, for too few resamples name them: "
                      + ", ".join(f"{in_words(key)} ({spoken.stability.get(key, 0.0):.2f})" for key in unstable))
-    fit, k = finding.fit, finding.fit.space.parts["back_emf"].start
+    fit = finding.fit
     if fit.space.back_emf:
-        low, share, high = (float(ndtr(fit.x[k] + s * NORMAL * math.sqrt(fit.covariance[k, k]))) for s in (-1, 0, 1))
-        found.append(f"of motor.damping {100.0 * share:.0f} % ({100.0 * low:.0f} to {100.0 * high:.0f} %) is back-EMF, "
-                     "which loads no gear")
+        sigma = np.sqrt(np.diag(fit.covariance))
+        low, share, high = (100.0 * fit.space.back_emf_share(fit.x + z * sigma) for z in (-NORMAL, 0.0, NORMAL))
+        found.append(f"of motor.damping {share:.0f} % ({low:.0f} to {high:.0f} %) is back-EMF, which loads no gear")
     if rig.beam is not None and data.rig.beam.elements != rig.beam.elements:
         found.append(f"simulated with {data.rig.beam.elements} beam elements; with the {rig.beam.elements} of the "
                      "rig file the mesh's own error would look like physics")

@@ -242,6 +242,12 @@ class RunComparison:
         return [error if math.isfinite(error) else None for error in found]
 
 
+NOT_NAMED = {"left_out": "does not help on unseen runs",
+             "too_large": "it may have to be larger than such a thing can be",
+             "may_be_none": "its own 95 % interval holds that it is not there"}
+"""In words, by ``Reason.kind``, what keeps a candidate from being named that may add enough."""
+
+
 @dataclass(frozen=True)
 class Reason:
     """What decides where a candidate stands, with the numbers that are told of it."""

@@ -208,8 +208,8 @@ class Parameters:
         """The rig that a parameter vector describes."""
         logs = np.clip(self.logs(x), -FARTHEST, FARTHEST)
         moved = dict(zip(self.paths, (self._nominal * np.exp(logs)).tolist(), strict=True))
-        if self.back_emf:   # as likely anywhere between none and all of it
-            moved["motor.back_emf"] = float(ndtr(x[self.parts["back_emf"].start]))
+        if self.back_emf:
+            moved["motor.back_emf"] = self.back_emf_share(x)
         rig = self.rig.with_constants(moved).remeshed()
         own = list(self.rig.effects)
         for held, value in zip(self.held, x[self.parts["held"]], strict=True):
@@ -223,6 +223,10 @@ class Parameters:
     def _nominal(self) -> np.ndarray:
         nominal = self.rig.constants()
         return np.array([nominal[path] for path in self.paths])
+
+    def back_emf_share(self, x: np.ndarray) -> float:
+        """Of the motor's damping, as likely anywhere from none to all of it; where it is open (``back_emf``)."""
+        return float(ndtr(x[self.parts["back_emf"].start]))
 
     def zero(self, x: np.ndarray, group: int) -> float:
         """Absolute angle (rad) of encoder count 0 in a group of runs that share it."""

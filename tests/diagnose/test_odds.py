@@ -319,3 +319,20 @@ def test_what_is_clearly_more_probable_stands_first_whatever_all_data_say() -> N
 def test_nothing_is_ordered_where_nothing_is_stated() -> None:
     order, told = ordered({}, {})
     assert order == [] and told == {}
+
+
+def test_fits_without_a_run_widen_an_interval_by_students_t_where_it_is_stated() -> None:
+    """Three runs leave it two degrees of freedom, 4.30 standard errors in place of 1.96."""
+    predictor = Predictor(dataset(AXIS, runs_of(AXIS)), observers(AXIS, 0.0), Pool())
+    key = ("command_bias", "amplifier")
+    space = parameters(predictor.data, Hypothesis(((effect_class(key[0]), key[1]),)), {key: {"offset": 1.0}})
+    found = fit(predictor, space, Weighing(predictor.counts, 1.0), space.mean)
+    k = space.parts["effects"].start
+    left_out = [replace(found, x=found.x + away * np.eye(space.size)[k]) for away in (-2.0, 0.5, 1.5)]
+    scale = space.coordinates[0].scale
+    widths = []
+    for student in (True, False):
+        offset = estimates(found, found, left_out, student=student)[0][key]["offset"]
+        widths.append(0.5 * (offset.high - offset.low) / scale)
+    error = np.sqrt(2.0 / 3.0 * (2.0**2 + 0.5**2 + 1.5**2))
+    assert widths == pytest.approx([4.3027 * error, 1.96 * error], rel=1e-3)

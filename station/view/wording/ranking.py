@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from station.diagnose.result import NOT_NAMED
 from station.view.wording.latency import delay_twins
 from station.view.wording.names import cause_title, joined, plain
 from station.view.wording.numbers import number, resamples
@@ -42,12 +43,10 @@ def _decides(reason: Reason) -> str:
     """What decides, beyond what a candidate adds."""
     others = joined([cause_title(*key) for key in reason.instead])
     do = "does" if len(reason.instead) == 1 else "do"
-    return {"leads": "most probable, but too few resamples name it or it does not help on unseen runs",
+    return {**NOT_NAMED,
+            "leads": "most probable, but too few resamples name it or it does not help on unseen runs",
             "likely": "may be there as well, but too few resamples name it",
-            "left_out": "does not help on unseen runs",
             "within": "a value within the rig's stated uncertainty does as well",
-            "too_large": "it may have to be larger than such a thing can be",
-            "may_be_none": "its own 95 % interval holds that it is not there",
             "resamples": f"named in {resamples(reason.value)}, too few" if reason.value else "no resample names it",
             "beaten": f"{others} in its place {do} better",
             "matched": f"{others} in its place {do} as well",
