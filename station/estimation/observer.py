@@ -30,6 +30,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
+from scipy.optimize import brentq
 
 from station.estimation.noise import QUANTISATION
 from station.model.along import equivalent_stiffness, law_values, part_of
@@ -54,12 +55,15 @@ STEPS = 6
 NEAR = 1e-5
 """Error of the memory's logarithm from which on one step more is the last: it leaves the square of that."""
 SLOPE, FLAT = -1.0 / 3.0, -0.05
-"""Change of the memory's logarithm by that of the size, of a double integrator and to begin with; and from which on a
-larger torque is taken to make an observer no quicker, for it rings."""
+"""Change of the memory's logarithm by that of the size, of a double integrator and to begin with; and the flattest that
+is stepped along."""
 FASTEST = 20.0, 1000.0
 """Over the horizon, and rad/s: of the nominal rig the modes that decay or swing faster than both are not corrected."""
 LONGEST = 4.0
 """The longest, in the logarithm of the size."""
+WALK, EXACT = 28, 1e-12
+"""Units of the logarithm, as many as lie between ``SIZES``, over which a size is looked for one by one where such steps
+lead nowhere (a load on a loose joint is forgotten hardly sooner over some units, and then sooner again); its error."""
 SMALL = 1e-3
 """Of the speeds, the step by which a torque's slope is told."""
 LASTS = 12.0
@@ -454,18 +458,31 @@ def _excess(system, horizon, gain):
 def _designed(system: _Filter, variance: float, horizon: float, log_size: float,
               slope: float) -> tuple[np.ndarray, float, float]:
     """(s) gain whose memory is the horizon, the logarithm of the torque's size, and the slope there."""
-    before, doublings, most = log_size, _doublings(horizon, system.period), LONGEST
-    gain = _gain(system, variance, before, doublings)
-    missed = _excess(system, horizon, gain)
+    before, doublings = log_size, _doublings(horizon, system.period)
+
+    def missed_at(size: float) -> float:
+        return _excess(system, horizon, _gain(system, variance, size, doublings))
+
+    missed = missed_at(before)
     for _ in range(STEPS):
-        here = before - min(max(missed / slope, -most), LONGEST)
+        here = before - min(max(missed / slope, -LONGEST), LONGEST)
         found = _gain(system, variance, here, doublings)
         if abs(missed) < NEAR:
             return found, here, slope
         now = _excess(system, horizon, found)
         if here > before and now - missed > FLAT * (here - before):
-            most = 0.5 * (here - before)
-            continue
+            break
         slope = min((now - missed) / (here - before), FLAT)
-        gain, before, missed = found, here, now
-    return gain, before, slope
+        before, missed = here, now
+    size = _first_crossing(missed_at, before, missed)
+    return _gain(system, variance, size, doublings), size, FLAT
+
+
+def _first_crossing(missed_at: Callable[[float], float], size: float, missed: float) -> float:
+    """The nearest size at which the memory is the horizon, the one way that leads there; where none is, ``size``."""
+    way, here = math.copysign(1.0, missed), size
+    for _ in range(WALK):
+        if missed_at(here + way) * missed <= 0.0:
+            return float(brentq(missed_at, here, here + way, xtol=EXACT))
+        here += way
+    return size

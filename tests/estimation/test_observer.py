@@ -12,6 +12,7 @@ from scipy.linalg import solve_discrete_are
 from station.estimation.observer import (
     UNMODELLED,
     Observer,
+    _corrected,
     _filter,
     _gain,
     _slowest,
@@ -189,6 +190,30 @@ def test_another_rig_with_a_fine_encoder_does_so_too(shape: str, factors: dict[s
     errors = np.abs(errors_left(rig, horizon, 0.0, nominal))
     assert 3.0 < horizon / rig.period < 6.0
     assert errors.sum() * rig.period / errors[0] == pytest.approx(horizon, rel=0.01)
+
+
+@pytest.mark.parametrize("gain", [0.1, 1.0, 10.0])
+@pytest.mark.parametrize("left", [0.02, 0.1, 0.3, 0.65])
+def test_a_loose_joint_forgets_as_fast_in_any_unit_of_torque(left: float, gain: float) -> None:
+    """With play a load hangs on a share of its spring: its memory is nearly flat over some sizes of the torque."""
+    nominal = Rig.model_validate({
+        "name": "loose", "sample_rate": 500.0, "amplifier": {"limit": 1000.0},
+        "motor": {"inertia": 0.0022, "damping": 0.0053, "gain": 0.0008}, "drive": {"stiffness": 8.7, "damping": 0.011},
+        "base": {"inertia": 0.0045}, "encoder": {"counts_per_revolution": 8192}})
+    (observer, _), found = observers(nominal, 0.33), []
+    for factor in (1.0, gain):
+        model = build(nominal.with_constants({"motor.gain": factor * nominal.motor.gain}), 0.1, 1e-3)
+        about = (("drive", (left - 1.0) * nominal.drive.stiffness),)
+        at, kept = correction(observer, model, about), _corrected(observer, model.form)
+        system, gains = _filter(model, observer.horizon, kept, about), [*at.state[model.form.columns(kept)], at.torque]
+        found.append([*at.state, factor * at.torque])
+        state, left_over = system.first.copy(), 0.0
+        for _ in range(math.ceil(12.0 * observer.horizon / nominal.period)):
+            shown = float(system.h @ state)
+            left_over += abs(shown) * nominal.period
+            state = system.f @ (state - np.multiply(gains, shown))
+        assert left_over == pytest.approx(observer.horizon, rel=1e-6)
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-5, atol=1e-8 * np.abs(found[0]).max())
 
 
 @pytest.mark.parametrize("elements", [8, 16, 13])
