@@ -78,8 +78,9 @@ class Noise(NamedTuple):
 def noise_of(runs: list[Run]) -> Noise:
     """What sensors' readings scatter by, pooled over the runs' rests, rows that were logged alone.
 
-    Without any rest, the encoder's is its ``scatter``, the accelerometer's a default.  Rounding's own variance q^2/12,
-    which a reading that moves at all holds, is taken off.
+    The encoder's is its ``scatter`` where that is larger: rows that were logged a little late or early, or a disc whose
+    lines are not even, show in motion alone.  Without any rest the accelerometer's is a default.  Rounding's own
+    variance q^2/12, which a reading that moves at all holds, is taken off.
     """
     rests = [(run, np.flatnonzero(run.logged[: rest_rows(run)])) for run in runs]
 
@@ -90,7 +91,7 @@ def noise_of(runs: list[Run]) -> Noise:
         return sum(float(part @ part) for part in centred), sum(part.size - 1 for part in centred)
 
     (encoder, encoder_rows), (accel, accel_rows) = pooled("encoder"), pooled("accel")
-    angle, freedoms = (encoder / encoder_rows, float(encoder_rows)) if encoder_rows else scatter(runs)
+    angle, freedoms = max((encoder / max(encoder_rows, 1), float(encoder_rows)), scatter(runs))
     acceleration = accel / accel_rows if accel_rows else ACCEL_DEFAULT**2 + QUANTISATION
     angle, acceleration = (math.sqrt(max(variance - QUANTISATION, 0.0)) for variance in (angle, acceleration))
     return Noise((angle, acceleration), (max(freedoms, 1.0), max(float(accel_rows), 1.0)))

@@ -1,4 +1,4 @@
-"""Noise is taken from rests, never from what moves, and rounding is not counted twice."""
+"""Noise is what rests and smooth motions scatter by, and rounding is not counted twice."""
 
 import numpy as np
 import pytest
@@ -75,6 +75,23 @@ def test_a_sensor_whose_noise_never_lets_it_rest_shows_it_as_it_moves(sigma):
     assert all(rest_rows(run) < 10 for run in runs)
     assert noise_of(runs).sigmas[0] == pytest.approx(sigma, rel=0.05)
     assert noise_of(jolted).sigmas[0] == pytest.approx(sigma, rel=0.05)
+
+
+@pytest.mark.parametrize("late", [0.0003, 0.001])
+def test_rows_that_are_logged_a_little_late_or_early_are_noise_in_motion_alone(late):
+    """A fine encoder of a servo that is read over a bus: noise of a rest was what its observer fed back in motion."""
+    rng, t = np.random.default_rng(5), np.arange(2500) / 250.0
+    moving = np.clip(t - 1.0, 0.0, None)
+    read = np.clip(moving + late * rng.standard_normal(2500) * (moving > 0.0), 0.0, None)
+    angle = 6000.0 * np.where(moving > 0.0, 1.0 - np.cos(2.0 * read), 0.0)
+    told = RunMetadata(controller={"kind": "open"})
+    run = Run("run", t, 0.0 * t, 100.0 * (moving > 0.0), np.floor(angle + 0.5), None, told)
+    speed = 12000.0 * np.median(np.abs(np.sin(2.0 * moving[moving > 0.0])))
+    found = noise_of([run])
+    assert rest_rows(run) == pytest.approx(250, abs=2)
+    assert found.sigmas[0] == pytest.approx(late * speed, rel=0.25)
+    on_time = Run("run", t, 0.0 * t, run.command, np.floor(6000.0 * (1.0 - np.cos(2.0 * moving)) + 0.5), None, told)
+    assert noise_of([on_time]).sigmas[0] == 0.0
 
 
 def test_a_scatter_is_as_uncertain_as_its_degrees_of_freedom_say():
