@@ -58,6 +58,7 @@ def demo(
     from station.cli.views import status_names
     from station.diagnose.diagnose import diagnose
     from station.rig import load_rig
+    from station.runs.store import file_hash
     from station.view.recording import write_recording
     from station.view.terminal import print_diagnosis
 
@@ -79,7 +80,7 @@ def demo(
         say("3. Compared with the nominal rig and diagnosed, by five of these runs and the rig file alone")
         with progress("diagnosing") as update:
             result = diagnose(nominal, list(runs.values()), effort, progress=lambda text, share: update(share, text))
-        result = with_files(result, {name: folder / "runs" / f"{name}.mcap" for name in runs})
+        result = with_files(result, {name: file_hash(folder / "runs" / f"{name}.mcap") for name in runs})
         save(result, json=folder / "diagnosis.json", report=folder / "report.html", rig=folder / "extended_rig.toml",
              overwrite=True)
         print_diagnosis(result, console())

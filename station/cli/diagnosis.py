@@ -37,15 +37,16 @@ def diagnose(
     Pool(SIZE, PREPARE)     # the others load theirs while this one does
     from station.diagnose.diagnose import diagnose as find
     from station.rig import load_rig
+    from station.runs.store import file_hash
     from station.view.terminal import print_diagnosis
 
     need_outputs(json, report, save_rig, overwrite=overwrite, inputs=[rig, *runs])
     nominal = load_rig(rig)
     loaded = load_runs(runs, nominal)
-    files = {run.name: path for run, path in zip(loaded, runs, strict=True)}
+    read = {run.name: file_hash(path) for run, path in zip(loaded, runs, strict=True)}
     with progress("diagnosing") as update:
         result = find(nominal, loaded, effort=effort, progress=lambda text, share: update(share, text))
-    result = with_files(result, files)
+    result = with_files(result, read)
     save(result, json=json, report=report, rig=save_rig, overwrite=overwrite)
     if json == STDOUT:
         return
@@ -54,14 +55,12 @@ def diagnose(
         say(f"{save_rig}: {nominal.name}, its constants re-fitted within their uncertainty; no effect was added")
 
 
-def with_files(result: DiagnosisResult, files: Mapping[str, Path]) -> DiagnosisResult:
-    """The result with the SHA-256 of every run's file, by which a reader finds the very runs again.
+def with_files(result: DiagnosisResult, read: Mapping[str, str]) -> DiagnosisResult:
+    """The result with the SHA-256 of every run's file as it was read, by which a reader finds the very runs again.
 
-    ``files``: by the run's name; a run that came from no file keeps none.
+    ``read``: by the run's name; a run that came from no file keeps none.
     """
-    from station.runs.store import file_hash
-
-    runs = [row.model_copy(update={"file_sha256": file_hash(files[row.run])}) if row.run in files else row
+    runs = [row.model_copy(update={"file_sha256": read[row.run]}) if row.run in read else row
             for row in result.diagnosis.runs]
     return replace(result, diagnosis=result.diagnosis.model_copy(update={"runs": runs}))
 

@@ -164,8 +164,9 @@ class Folder:
     def keep(self, found: Investigation) -> None:
         """Write the last diagnosis and its rig."""
         from station.cli.diagnosis import save, with_files
+        from station.runs.store import file_hash
 
-        self.found = with_files(found.result, self.files)
+        self.found = with_files(found.result, {name: file_hash(path) for name, path in self.files.items()})
         save(self.found, json=self.path / "diagnosis.json", report=None, rig=self.path / "extended_rig.toml",
              overwrite=True)
 

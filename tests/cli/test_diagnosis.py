@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import importlib
 import json
 
 import numpy as np
@@ -21,7 +22,7 @@ from station.runs import load_run
 SFLR = load_rig("sflr")
 
 
-def test_diagnose_writes_what_was_asked_for(station, tmp_path):
+def test_diagnose_writes_what_was_asked_for(station, tmp_path, monkeypatch):
     hidden = tmp_path / "hidden.toml"
     hidden.write_text(SFLR.with_effects([effect_class("dead_zone")(at="amplifier", width=12.0)]).to_toml())
     runs = []
@@ -31,6 +32,15 @@ def test_diagnose_writes_what_was_asked_for(station, tmp_path):
                         "--amplitude", amplitude, "--duration", "1.2", "--out", runs[-1])
         assert ended.status == 0, ended.err
     found, report, rig = tmp_path / "d.json", tmp_path / "r.html", tmp_path / "extended.toml"
+    read = {run.stem: hashlib.sha256(run.read_bytes()).hexdigest() for run in runs}
+    module = importlib.import_module("station.diagnose.diagnose")
+    diagnose = module.diagnose
+
+    def replaced_meanwhile(*args, **options):
+        runs[0].write_bytes(b"another test")
+        return diagnose(*args, **options)
+
+    monkeypatch.setattr(module, "diagnose", replaced_meanwhile)
     ended = station("diagnose", "--rig", "sflr", *runs, "--effort", "quick", "--json", found, "--report", report,
                     "--save-rig", rig)
     assert ended.status == 0, ended.err
@@ -38,8 +48,7 @@ def test_diagnose_writes_what_was_asked_for(station, tmp_path):
     assert diagnosis.verdict in ended.out.replace(" ", "_") or diagnosis.causes
     assert [(cause.effect, cause.at) for cause in diagnosis.causes][:1] == [("dead_zone", "amplifier")]
     assert "Dead zone" in ended.out or "dead zone" in ended.out
-    assert {row.run: row.file_sha256 for row in diagnosis.runs} == {
-        run.stem: hashlib.sha256(run.read_bytes()).hexdigest() for run in runs}
+    assert {row.run: row.file_sha256 for row in diagnosis.runs} == read, "what was diagnosed, not what is there now"
     assert "<html" in report.read_text(encoding="utf-8")[:2000]
     assert any(effect.name == "dead_zone" for effect in load_rig(rig).effects)
 
