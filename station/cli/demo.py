@@ -78,9 +78,10 @@ def demo(
         apart = runs.pop(APART[0])
         say()
         say("3. Compared with the nominal rig and diagnosed, by five of these runs and the rig file alone")
+        read = {name: file_hash(folder / "runs" / f"{name}.mcap") for name in runs}
         with progress("diagnosing") as update:
             result = diagnose(nominal, list(runs.values()), effort, progress=lambda text, share: update(share, text))
-        result = with_files(result, {name: file_hash(folder / "runs" / f"{name}.mcap") for name in runs})
+        result = with_files(result, read)
         save(result, json=folder / "diagnosis.json", report=folder / "report.html", rig=folder / "extended_rig.toml",
              overwrite=True)
         print_diagnosis(result, console())

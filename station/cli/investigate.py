@@ -137,6 +137,7 @@ class Folder:
         self.made = 0
         self.found: DiagnosisResult | None = None
         self.files: dict[str, Path] = {}
+        self.read: dict[str, str] = {}
 
     def make(self) -> None:
         """Create it."""
@@ -146,6 +147,7 @@ class Folder:
         """Run one test on the device at an open port, logged; what was logged stays whatever happens."""
         from station.cli.run import perform
         from station.runs import McapLogWriter, load_run
+        from station.runs.store import file_hash
 
         test = capped(test, controller.get("kind") == "open", self.rig, self.cap)
         self.made += 1
@@ -158,15 +160,14 @@ class Folder:
                 note(f"the rows so far are in {out}")
             raise
         run = load_run(out)
-        self.files[run.name] = out
+        self.files[run.name], self.read[run.name] = out, file_hash(out)
         return run
 
     def keep(self, found: Investigation) -> None:
         """Write the last diagnosis and its rig."""
         from station.cli.diagnosis import save, with_files
-        from station.runs.store import file_hash
 
-        self.found = with_files(found.result, {name: file_hash(path) for name, path in self.files.items()})
+        self.found = with_files(found.result, self.read)
         save(self.found, json=self.path / "diagnosis.json", report=None, rig=self.path / "extended_rig.toml",
              overwrite=True)
 

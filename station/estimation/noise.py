@@ -78,9 +78,9 @@ class Noise(NamedTuple):
 def noise_of(runs: list[Run]) -> Noise:
     """What sensors' readings scatter by, pooled over the runs' rests, rows that were logged alone.
 
-    The encoder's is its ``scatter`` where that is larger: rows that were logged a little late or early, or a disc whose
-    lines are not even, show in motion alone.  Without any rest the accelerometer's is a default.  Rounding's own
-    variance q^2/12, which a reading that moves at all holds, is taken off.
+    The encoder's is its ``scatter`` where that is larger: rows that were logged a little late or early show in motion
+    alone.  Without any rest the accelerometer's is a default.  Rounding's own variance q^2/12, which a reading that
+    moves at all holds, is taken off.
     """
     rests = [(run, np.flatnonzero(run.logged[: rest_rows(run)])) for run in runs]
 

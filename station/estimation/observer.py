@@ -61,9 +61,9 @@ FASTEST = 20.0, 1000.0
 """Over the horizon, and rad/s: of the nominal rig the modes that decay or swing faster than both are not corrected."""
 LONGEST = 4.0
 """The longest, in the logarithm of the size."""
-WALK, EXACT = 28, 1e-12
-"""Units of the logarithm, as many as lie between ``SIZES``, over which a size is looked for one by one where such steps
-lead nowhere (a load on a loose joint is forgotten hardly sooner over some units, and then sooner again); its error."""
+WALK, EXACT = math.ceil(SIZES[1] - SIZES[0]), 1e-12
+"""Units of the logarithm over which a size is looked for one by one where such steps lead nowhere (a load on a loose
+joint is forgotten hardly sooner over some units, and then sooner again), and its error."""
 SMALL = 1e-3
 """Of the speeds, the step by which a torque's slope is told."""
 LASTS = 12.0
