@@ -4,10 +4,13 @@ With y what was read, y(1) its prediction and y(0) that of a motor which does no
 
     g = d'e / d'd,   r = d'e / (|d| |e|),   d = y(1) - y(0),   e = y - y(0),
 
-g is the least-squares gain from command to reading in units of the rig's own, r how surely it is one.  The angle is
-predicted a few hundredths of a second ahead, where neither a loop nor a spring has had time to answer, the acceleration
-from the commands alone.  Only of tests that drive the rig: where a loop holds a reference that never moves, commands
-answer the readings, and g is that loop's.
+both less their parts along y(c) - y(1), what a constant torque changes besides (partial regression: Frisch and Waugh,
+Econometrica 1, 1933), g is the least-squares gain from command to reading in units of the rig's own, r how surely it is
+one.  For a command that holds a weight, or an amplifier's bias, moves nothing: of a slow test it may be the most of it,
+and as the torque that it stands against is not the rig's, the angle goes the other way than by the rig file.  The angle
+is predicted a few hundredths of a second ahead, where neither a loop nor a spring has had time to answer, the
+acceleration from the commands alone.  Only of tests that drive the rig: where a loop holds a reference that never
+moves, commands answer the readings, and g is that loop's.
 """
 
 from __future__ import annotations
@@ -30,6 +33,8 @@ IMPOSSIBLE, SUSPECT = 30.0, 3.0
 whose constants are wrong by their usual uncertainty (gain and inertia by 30 % each are off by 2.9 at 2.5 sigmas)."""
 IDLE = np.array([0.0, 0.0, -1.0, 0.0])
 """What a run has of its own (``Dataset.own``) less where the motor does nothing of its command."""
+CONSTANT = np.array([0.0, 0.0, 0.0, 1.0])
+"""What it has more where a constant torque acts besides, per count of command."""
 READINGS = ("angle", "acceleration")
 MENDED = "mend the rig file, or the column of the log"
 SCALES = {"angle": "counts and not rad or degrees, encoder.counts_per_revolution, motor.gain in N m per count, "
@@ -68,25 +73,30 @@ def answers(predictor: Predictor) -> list[Answer]:
     data = replace(given, rig=given.rig.model_copy(update={"amplifier": amplifier}))
     predictor = predictor.on(data)
     space = parameters(data, Hypothesis(), {})
-    driven, still = (predictor.runs(space, space.mean, data.own + more) for more in (0.0, IDLE))
+    driven, still, pushed = (predictor.runs(space, space.mean, data.own + more) for more in (0.0, IDLE, CONSTANT))
     found = []
     for r, (run, record) in enumerate(zip(data.runs, data.records, strict=True)):
         if run.open_loop or np.ptp(run.reference) > 0.0:
             for reading, block in zip(READINGS, (0, -1)[: data.channels], strict=False):
-                made, read, idle = (rows[block, record.window] for rows in (driven[r], predictor.measured(r), still[r]))
-                gain, sureness = _regressed(made, read, idle, block == -1)
+                made, read, idle, more = (rows[block, record.window] for rows in (
+                    driven[r], predictor.measured(r), still[r], pushed[r]))
+                gain, sureness = _regressed(made, read, idle, more, block == -1)
                 if math.isfinite(gain) and math.isfinite(sureness):
                     found.append(Answer(run.name, reading, gain, sureness))
     return found
 
 
-def _regressed(driven: np.ndarray, read: np.ndarray, still: np.ndarray, about_means: bool) -> tuple[float, float]:
-    """g and r of y(1), y and y(0) (n), ``about_means`` where a reading's zero is not known; not finite where nothing is
-    told, or a simulation has run off."""
+def _regressed(driven: np.ndarray, read: np.ndarray, still: np.ndarray, pushed: np.ndarray, about_means: bool,
+               ) -> tuple[float, float]:
+    """g and r of y(1), y, y(0) and y(c) (n), ``about_means`` where a reading's zero is not known; not finite where
+    nothing is told, or a simulation has run off."""
     with np.errstate(all="ignore"):
-        d, e = driven - still, read - still
+        rows = np.stack([driven - still, read - still, pushed - driven])
         if about_means:
-            d, e = d - d.mean(), e - e.mean()
+            rows -= rows.mean(axis=1, keepdims=True)
+        d, e, c = rows
+        if c @ c > 0.0:
+            d, e = d - (d @ c) / (c @ c) * c, e - (e @ c) / (c @ c) * c
         return float(d @ e / (d @ d)), float(d @ e / np.sqrt((d @ d) * (e @ e)))
 
 

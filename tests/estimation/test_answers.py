@@ -11,6 +11,7 @@ import pytest
 from station.errors import WorkError
 from station.estimation.answers import CORRELATED, SUSPECT, Answer, answers, refuse_wrong_signs_and_units, unlikely
 from station.fit import fit
+from station.model.effects.command_bias import CommandBias
 from station.model.effects.coulomb_friction import CoulombFriction
 from station.rig import Rig
 from station.runs.run import Run
@@ -96,15 +97,28 @@ def test_one_log_of_another_unit_is_told_by_its_name() -> None:
 
 
 def test_what_friction_explains_is_no_unit() -> None:
-    """A slow test of an axis that rubs answers a fifth of its commands, but not one of another unit."""
-    rubbing = AXIS.with_effects([CoulombFriction(at="motor", torque=0.5 * 40.0 * AXIS.motor.gain)])
-    runs = [run_of(rubbing, 40.0, "p1", "slow"), *(run_of(rubbing, size, "p2", f"{size}") for size in (300.0, 200.0))]
+    """Weak pulses move an axis that rubs by a fifth, but not one of another unit."""
+    rubbing = AXIS.with_effects([CoulombFriction(at="motor", torque=0.8 * 40.0 * AXIS.motor.gain)])
+    runs = [run_of(rubbing, 40.0, "open", "slow"), *(run_of(rubbing, size, "p2", f"{size}") for size in (300.0, 200.0))]
     (sentence,) = unlikely(answers(predictions(AXIS, runs)))
     assert sentence.startswith("slow: the angle")
     assert unlikely(answers(predictions(AXIS, runs)), answers(predictions(rubbing, runs))) == []
     given = [*runs[:-1], *altered(runs[-1:], encoder=1.0 / 11.0)]
     told = unlikely(answers(predictions(AXIS, given)), answers(predictions(rubbing, given)))
     assert len(told) == 1 and told[0].startswith(f"{runs[-1].name}: the angle")
+
+
+@pytest.mark.parametrize("offset", [-30.0, 30.0])
+def test_a_command_that_holds_against_a_bias_tells_no_sign(offset: float) -> None:
+    """Of a slow test the loop's command is for the most part what the bias takes, and that moves nothing."""
+    biased = AXIS.with_effects([CommandBias(at="amplifier", offset=offset)])
+    runs = [run_of(biased, size, loop, f"{size:g}") for size, loop in ((10.0, "p1"), (-10.0, "p1"), (300.0, "p2"))]
+    found = answers(predictions(AXIS, runs))
+    assert len(found) == 3 and all(one.gain == pytest.approx(1.0, abs=0.3) for one in found)
+    refuse_wrong_signs_and_units(found)
+    turned = answers(predictions(AXIS, altered(tuple(runs), encoder=-1.0)))
+    with pytest.raises(WorkError, match="angle moves the other way"):
+        refuse_wrong_signs_and_units(turned)
 
 
 def test_a_loop_that_holds_a_still_reference_answers_for_nothing() -> None:
