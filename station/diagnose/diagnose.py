@@ -180,9 +180,11 @@ def _disturbance(predictor: Predictor, fits: Sequence[Fit]) -> Disturbance:
     rows that count: a share of the command's rms torque.
 
     It is what the quickest observer makes of it over the share of a torque that it shows, less what the encoder's noise
-    makes of it.
+    makes of it.  That observer itself finds the state of a run that begins in motion: taken over from a slower one of
+    a rig that is wrong, a speed that is off would be a blow.
     """
-    data, quickest = predictor.data, predictor.observers[:1]
+    given, quickest = predictor.data, predictor.observers[:1]
+    data = replace(given, records=tuple(replace(one, finding=np.zeros_like(one.finding)) for one in given.records))
 
     def share(one: Fit) -> float:
         space, x = one.space, one.x

@@ -109,9 +109,9 @@ def notes(rig: Rig, search: Selection, finding: Finding, unseen: Unseen) -> list
              f"temperature of the likelihood: {weighing.temperature:.2f}; independent errors: "
              f"{weighing.independent.sum():.0f} of {search.predictor.counts.sum():.0f}"]
     if said.causes:
-        gains = unseen.gains + unseen.relieved / len(unseen.gains)
-        found.append(f"log density of runs left out, constants' included, by the causes: {gains.sum():+.1f}, standard "
-                     f"error {standard_error(gains):.1f}")
+        gained, error = unseen.gains.sum() + unseen.relieved, standard_error(unseen.gains, unseen.informed)
+        found.append(f"log density of runs left out, constants' included, by the causes: {gained:+.1f}, standard error "
+                     f"{error:.1f}")
     if finding.may_be_none:
         found.append("in the best set but not stated, for their own 95 % intervals hold that they are not there: "
                      + ", ".join(map(in_words, sorted(finding.may_be_none))))

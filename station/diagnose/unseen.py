@@ -11,7 +11,9 @@ from station.diagnose.finding import Finding, bought, without
 from station.diagnose.odds import estimates, may_be_none
 from station.diagnose.selection import Selection
 from station.diagnose.validation import (
+    all_predicted,
     contradicted,
+    information,
     leave_each_out,
     log_densities,
     missed_by_more,
@@ -37,6 +39,8 @@ class Unseen:
     """(runs) ln of the density of each run, of these causes and of none."""
     gains: np.ndarray
     """(runs) what the causes raise it by."""
+    informed: np.ndarray
+    """(runs) what they would, were they right."""
     relieved: float
     """What they raise the density of what is known beside the runs by: the rig's constants, and the clocks."""
     simulations: tuple[list[Simulation], list[Simulation], list[Simulation]]
@@ -75,14 +79,17 @@ def unseen(search: Selection, finding: Finding, said: list[Fit]) -> Unseen:
                                                far=not finding.left.is_noise)
     alone = left_out[frozenset()]
     refit, refit_ahead = predict_unseen(predictor, nothing, alone)
-    densities = {keys: log_densities(predictor, search.compared, fits) for keys, fits in left_out.items()}
+    predictions = {keys: all_predicted(predictor, search.compared, fits) for keys, fits in left_out.items()}
+    densities = {keys: log_densities(found) for keys, found in predictions.items()}
     gains = densities[causes] - densities[frozenset()]
+    informed = information(predictor, search.compared, predictions[frozenset()], predictions[causes])
     relieved = (relief(alone, said) + search.clock_score(finding.fit.space.hypothesis)
                 - search.clock_score(nothing.space.hypothesis))
     before, before_ahead = predict_unseen(predictor, unfitted, [unfitted] * len(alone))
     after, after_ahead = predict_unseen(predictor, finding.fit, said) if causes else (refit, refit_ahead)
-    against = contradicted(gains, relieved) or missed_by_more(predictor.data, before, after)
+    against = contradicted(gains, informed, relieved) or missed_by_more(predictor.data, before, after)
     holding = said
     if against and not finding.left.is_noise:
         holding, after, after_ahead = alone, refit, refit_ahead
-    return Unseen(holding, densities, gains, relieved, (before, refit, after), (before_ahead, after_ahead), against)
+    return Unseen(holding, densities, gains, informed, relieved, (before, refit, after), (before_ahead, after_ahead),
+                  against)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -135,8 +135,18 @@ def predict_unseen(predictor: Predictor, found: Fit, left_out: Sequence[Fit],
     return list(made), list(ahead)
 
 
-def log_density(predictor: Predictor, weighing: Weighing, left: Fit, run: int) -> float:
-    """ln of the density that a fit, which left a run out, predicts of that run, up to a number that all fits share.
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """What a fit that left a run out predicts of it."""
+
+    log_density: float
+    """ln of the density of the run, up to a number that all fits share."""
+    errors: np.ndarray
+    """(b, n) of the most likely prediction, in units of the noise."""
+
+
+def predicted(predictor: Predictor, weighing: Weighing, left: Fit, run: int) -> Predicted:
+    """The density that a fit, which left a run out, predicts of that run, and the errors.
 
     A log pointwise predictive density (Vehtari, Gelman and Gabry, Stat. Comput. 27, 2017) of a group of data with
     parameters of its own: what the run has of its own and all that the other runs leave open (``differing``) are
@@ -166,7 +176,7 @@ def log_density(predictor: Predictor, weighing: Weighing, left: Fit, run: int) -
     here = errors(at)
     value = surprise(here, at)
     if not np.isfinite(value):
-        return -math.inf
+        return Predicted(-math.inf, here)
     columns = np.zeros((len(at), *here.shape))
     for k in range(OWN_STEPS):
         for i in range(free if k else len(at)):     # the others: by ``correct``, below
@@ -185,7 +195,7 @@ def log_density(predictor: Predictor, weighing: Weighing, left: Fit, run: int) -
                 break
         if not fell > 0.1:
             break
-    return -0.5 * (value + float(np.linalg.slogdet(matrix)[1]) - float(np.sum(np.log(prior))))
+    return Predicted(-0.5 * (value + float(np.linalg.slogdet(matrix)[1]) - float(np.sum(np.log(prior)))), here)
 
 
 def differing(left: Fit, run: int) -> np.ndarray:
@@ -200,10 +210,30 @@ def differing(left: Fit, run: int) -> np.ndarray:
     return (along * np.sqrt(np.maximum(variances, 0.0))).T
 
 
-def log_densities(predictor: Predictor, weighing: Weighing, left_out: Sequence[Fit]) -> np.ndarray:
-    """(runs) of every run by the fit that left it out."""
-    return np.array(list(predictor.pool.map(lambda r: log_density(predictor, weighing, left_out[r], r),
-                                            range(len(left_out)))))
+def all_predicted(predictor: Predictor, weighing: Weighing, left_out: Sequence[Fit]) -> list[Predicted]:
+    """Every run by the fit that left it out."""
+    return list(predictor.pool.map(lambda r: predicted(predictor, weighing, left_out[r], r), range(len(left_out))))
+
+
+def log_densities(found: Sequence[Predicted]) -> np.ndarray:
+    """(runs) ln of the density of every run."""
+    return np.array([one.log_density for one in found])
+
+
+def information(predictor: Predictor, weighing: Weighing, without: Sequence[Predicted], found: Sequence[Predicted],
+                ) -> np.ndarray:
+    """(runs) by how much causes would raise the log density of each run left out if they were right: by what they
+    change in its prediction, whatever was measured.
+
+    Half the rise of -2 ln L where the change is added to errors that have nothing to do with it.
+    """
+    def rise(r: int) -> float:
+        counts, independent = predictor.counts[r], weighing.independent[r]
+        left = np.sum(found[r].errors ** 2, axis=1)
+        change = np.sum((without[r].errors - found[r].errors) ** 2, axis=1)
+        return cost(left + change, counts, independent) - cost(left, counts, independent)
+    with np.errstate(invalid="ignore"):     # a run that does not simulate
+        return np.array([rise(r) for r in range(len(found))]) / (2.0 * weighing.temperature)
 
 
 def unseen_gain(weighing: Weighing, gains: np.ndarray) -> float:
@@ -223,16 +253,26 @@ def relief(without: Sequence[Fit], found: Sequence[Fit]) -> float:
                           for before, after in zip(without, found, strict=True)]))
 
 
-def standard_error(gains: np.ndarray) -> float:
-    """Of the sum of what causes raise the log densities of unseen runs by (runs)."""
-    with np.errstate(invalid="ignore"):     # a run that does not simulate
-        return math.sqrt(len(gains) * float(np.var(gains, ddof=1)))
+def standard_error(gains: np.ndarray, informed: np.ndarray) -> float:
+    """Of the sum of what causes raise the log densities of unseen runs by (runs), from what each run could say
+    (``information``, runs).
+
+    A run that the causes hardly change cannot gain by them, and that it does not speaks neither for nor against: gains
+    are taken to be in proportion to the information, and scatter about that (the ratio estimator: Cochran, Sampling
+    Techniques, 3rd ed. 1977, section 6.4).  A log likelihood ratio itself has twice its mean for a variance, where the
+    causes are right; that is the least.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):     # a run that does not simulate
+        total = float(informed.sum())
+        apart = gains - (gains.sum() / total if total > 0.0 else 0.0) * informed
+        return math.sqrt(max(float(apart @ apart) * len(gains) / (len(gains) - 1), 2.0 * total))
 
 
-def contradicted(gains: np.ndarray, relieved: float) -> bool:
-    """Whether unseen runs (gains, runs), with what the rig file states of its constants, speak against causes: together
-    they are not met better than by a refit alone by UNSEEN standard errors."""
-    return not float(gains.sum()) + relieved >= UNSEEN * standard_error(gains)     # what is no number does not help
+def contradicted(gains: np.ndarray, informed: np.ndarray, relieved: float) -> bool:
+    """Whether unseen runs (gains, and what each could say, runs), with what the rig file states of its constants, speak
+    against causes: together they are not met better than by a refit alone by UNSEEN standard errors."""
+    allowed = UNSEEN * standard_error(gains, informed)
+    return not float(gains.sum()) + relieved >= allowed     # what is no number does not help
 
 
 def missed_by_more(data: Dataset, before: Sequence[Simulation], after: Sequence[Simulation]) -> bool:

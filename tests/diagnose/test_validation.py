@@ -13,11 +13,13 @@ from station.diagnose.validation import (
     UNKNOWN_AHEAD,
     contradicted,
     differing,
+    information,
     leave_each_out,
-    log_density,
     missed_by_more,
+    predicted,
     relief,
     seconds_ahead,
+    standard_error,
     unseen_gain,
 )
 from station.estimation.dataset import dataset
@@ -53,6 +55,10 @@ def left_out(own: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0), parameters: int = 0)
 
 def counted(independent: float, temperature: float = 1.0) -> SimpleNamespace:
     return SimpleNamespace(independent=np.array([[independent]]), temperature=temperature)
+
+
+def log_density(*args) -> float:
+    return predicted(*args).log_density
 
 
 def waves(count: int, scale: float, seed: int) -> np.ndarray:
@@ -127,12 +133,49 @@ def test_temperature_tones_a_density_down() -> None:
 
 @pytest.mark.parametrize(("gains", "relieved", "wanted"), [
     ([-3.0, -3.1, -2.9], 0.0, True), ([-9.0, 4.0, 3.0], 0.0, True), ([-9.0, 4.0, 6.0], 0.0, True),
-    ([9.0, 4.0, -6.0], 0.0, True), ([9.0, 4.0, -1.0], 0.0, False), ([1.0, 2.0], 0.0, False),
+    ([9.0, 4.0, -6.0], 0.0, True), ([9.0, 4.0, 3.0], 0.0, False), ([3.0, 4.0], 0.0, False),
     ([-0.2, 0.1, 0.0], 12.0, False), ([1.0, 1.0, 0.0], -2.7, True),
     ([5.0, np.nan, 5.0], 0.0, True), ([5.0, -np.inf, 5.0], 0.0, True)])
 def test_unseen_runs_speak_against_causes_that_do_not_help_by_more_than_the_error_of_the_comparison(
         gains: list[float], relieved: float, wanted: bool) -> None:
-    assert contradicted(np.array(gains), relieved) is wanted
+    """Of runs that could all say as much."""
+    assert contradicted(np.array(gains), np.full(len(gains), 5.0), relieved) is wanted
+
+
+def test_a_run_that_could_say_nothing_does_not_speak_against_a_cause() -> None:
+    """That one run gains 24 and another, in which the cause does nothing, none, is no sign of chance; that it should
+    have gained as much is."""
+    gains = np.array([24.0, -0.2])
+    assert not contradicted(gains, np.array([28.0, 0.1]), 0.0)
+    assert contradicted(gains, np.array([28.0, 28.0]), 0.0)
+
+
+@pytest.mark.parametrize("dispersion", [2.0, 12.0])
+def test_the_standard_error_is_that_of_the_sum_however_unlike_runs_are(dispersion: float) -> None:
+    """Gains that scatter with the variance of a log likelihood ratio, twice its mean, or six times as much, about what
+    runs from hardly anything to 200 could say."""
+    rng, informed = np.random.default_rng(5), np.array([0.1, 1.0, 3.0, 20.0, 200.0, 60.0, 100.0, 40.0])
+    drawn = informed + np.sqrt(dispersion * informed) * rng.standard_normal((4000, informed.size))
+    found = np.sqrt(np.mean([standard_error(gains, informed) ** 2 for gains in drawn]))
+    assert found == pytest.approx(np.std(drawn.sum(axis=1)), rel=0.2)
+
+
+def test_what_a_run_could_say_is_what_causes_change_in_it_whatever_was_measured() -> None:
+    """Within the noise half the squared change; beyond it as errors of unknown size are counted."""
+    change = 0.3 * waves(1, 1.0, 6)
+    size = float(np.sum(change**2))
+
+    def informed(errors: np.ndarray, independent: float, temperature: float = 1.0) -> float:
+        without, found = (module.Predicted(0.0, e) for e in (errors + change, errors))
+        [value] = information(predictor(errors[0], np.zeros((4, ROWS))), counted(independent, temperature), [without],
+                              [found])
+        return value
+    quiet = np.zeros((1, ROWS))
+    assert informed(quiet, ROWS) == pytest.approx(0.5 * size)
+    assert informed(quiet, ROWS, 2.0) == pytest.approx(0.25 * size)
+    loud = 3.0 * waves(1, 1.0, 7)
+    wanted = 0.5 * 50.0 * np.log1p(size / float(np.sum(loud**2)))
+    assert informed(loud, 50.0) == pytest.approx(wanted) == informed(-loud, 50.0)
 
 
 def test_a_cause_that_leaves_constants_where_the_rig_file_has_them_relieves_a_refit_that_strains_them() -> None:
