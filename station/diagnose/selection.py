@@ -20,7 +20,7 @@ import numpy as np
 from station.diagnose.candidates import Candidate, candidates
 from station.diagnose.remainder import ahead_is_noise, remainder
 from station.diagnose.screening import Screened, screen
-from station.diagnose.starts import Start, attempted, far_starts, rigid_starts
+from station.diagnose.starts import Start, arrived, attempted, far_starts, has_gap, rigid_starts
 from station.diagnose.thresholds import CLOSE, LOG_PRIOR, LOG_PRIOR_PARAMETER, WORTH_A_FIT
 from station.estimation.cause import Causes, Key, Sizes, is_constant
 from station.estimation.constants import base_fit, in_step, settled, told_again
@@ -87,6 +87,8 @@ class Selection:
     """What errors count for where sets are compared, if it is not the same (``judge``)."""
     found_by: Weighing | None = None
     """What errors count for where sets are compared and parameters found, if these are not the same (``judge``)."""
+    arrived: set[Causes] = field(default_factory=set)
+    """Sets with a gap that were fitted by longer and longer horizons."""
     looked_back: Fit | None = None
     """The fit that was last looked back upon."""
     _weighed: WeakKeyDictionary[Fit, tuple[Weighing, float, float]] = field(default_factory=WeakKeyDictionary)
@@ -426,10 +428,13 @@ def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
     def again(job: tuple[Fit, tuple[float, float]]) -> Fit | None:
         found, differ = job
         space, x = centred(predictor, found, complete)
-        return attempted(predictor, space, replace(weighing, differ=differ), x, found.own, **THOROUGH,
-                         to_the_end=to_the_end)
+        way = arrived if found.key in sought else attempted
+        return way(predictor, space, replace(weighing, differ=differ), x, found.own, **THOROUGH,
+                   to_the_end=to_the_end)
 
-    jobs = []
+    fits, jobs = list(fits), []
+    sought = {found.key for found in fits if not complete and has_gap(found.space)} - search.arrived
+    search.arrived |= sought
     for found in fits:
         own, alike = search.own_weighing(found).differ, found.most_likely_differ(weighing, (False, False))
         jobs.append((found, own))

@@ -27,8 +27,10 @@ from station.estimation.dataset import first_seconds
 from station.estimation.fitted import Fit
 from station.estimation.least_squares import DIVERGED, fit, point
 from station.estimation.likelihood import Weighing, cost
+from station.estimation.observer import observers
 from station.estimation.parameters import WIDE, Parameters, parameters
 from station.estimation.prediction import Predictor
+from station.model.effects import Stage
 
 JOINTS = ("drive.stiffness", "clamp.stiffness")
 """Constants of which a rig's own may be as good as infinite."""
@@ -38,6 +40,8 @@ AWAY = np.arange(-6, 7) / 2.0
 """Sigmas of that prior from nominal at which the objective is worked out: steps of a factor of 2.1."""
 SECONDS = FIRST_SECONDS[1]
 """Stretch after the first command for that: a period of a beam's slowest mode."""
+FARTHEST = 0.5
+"""Longest horizon ahead by which a gap is sought, s: some ten blows of light masses on a soft shaft."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +61,38 @@ def attempted(predictor: Predictor, space: Parameters, weighing: Weighing, x: np
     with suppress(*DIVERGED):
         return fit(predictor, space, weighing, x, own, **how).light
     return None
+
+
+def has_gap(space: Parameters) -> bool:
+    """Whether a hypothesis holds a gap, which closes with a blow."""
+    return any(cls.stage is Stage.GAP for cls, _ in space.hypothesis.effects)
+
+
+def arrived(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarray, own: np.ndarray,
+            **how: Any) -> Fit | None:
+    """The same or, if that is better, one that begins where horizons lead that double from the shortest to FARTHEST.
+
+    After a few blows of a gap that is a little wrong a run is out of step, so that the objective of long horizons has a
+    valley at every size and the shortest says little.  The shorter the horizon the smoother it is (Ribeiro, Tiels,
+    Umenberger, Schon and Aguirre, Automatica 121, 2020): each ends where the next is smooth.  Constants that are no
+    causes begin nominal: what was bent to make up for the gap leads to another size.
+    """
+    ends = [attempted(predictor, space, weighing, x, own, **how)]
+    data, horizon = predictor.data, predictor.observers[0].horizon
+    x, own = _else_nominal(space, x), data.own
+    while horizon <= FARTHEST:
+        one = replace(predictor, observers=observers(data.rig, data.noise[0], (horizon,)))
+        near = attempted(one, space, replace(unknown(one), differ=weighing.differ), x, own, **how)
+        if near is None:
+            break
+        x, own, horizon = near.x, near.own, 2.0 * horizon
+    ends.append(attempted(predictor, space, weighing, x, own, **how))
+    return min(filter(None, ends), key=lambda one: one.objective, default=None)
+
+
+def _else_nominal(space: Parameters, x: np.ndarray) -> np.ndarray:
+    """``x`` (p) with all constants nominal that are no causes."""
+    return space.placed(x, np.where(np.isin(space.paths, space.hypothesis.constants), space.logs(x), 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +134,8 @@ def rigid_starts(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
         rig = slow.data.rig.with_constants({path: nominal[path] * math.exp(sigmas * WIDE)})
         stiff = slow.on(replace(slow.data, rig=rig))
         space = parameters(stiff.data, parent.space.hypothesis, sizes, fixed=(path,))
-        x = space.carried(parent.space, parent.x)
-        logs = np.where(np.isin(space.paths, space.hypothesis.constants), space.logs(x), 0.0)
-        return _Held(candidate, sigmas, stiff, space, space.placed(x, logs), slow.data.own)
+        x = _else_nominal(space, space.carried(parent.space, parent.x))
+        return _Held(candidate, sigmas, stiff, space, x, slow.data.own)
 
     tried = [held(c, sigmas) for c in pool if c.constant in JOINTS
              for sigmas in ((before[c.constant],) if c.constant in before else RIGID)]

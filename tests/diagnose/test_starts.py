@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,12 +12,15 @@ import pytest
 
 from station.diagnose.candidates import candidates
 from station.diagnose.diagnose import diagnose
-from station.diagnose.starts import JOINTS, Start, attempted, far_starts, rigid_starts
-from station.estimation.constants import base_fit, in_step
+from station.diagnose.selection import THOROUGH
+from station.diagnose.starts import JOINTS, Start, arrived, attempted, far_starts, rigid_starts
+from station.estimation.constants import base_fit, in_step, unknown
 from station.estimation.parameters import Hypothesis, parameters
 from station.estimation.prediction import Predictor
+from station.model.effects.backlash import Backlash
+from station.model.simulate import simulate
 from station.rig import Rig
-from station.runs.run import Run
+from station.runs.run import Run, RunMetadata
 from tests.estimation.made import predictions
 from tests.truth import SFLR, make_case
 
@@ -114,3 +118,32 @@ def test_a_beam_that_is_quite_another_than_the_rig_file_says_is_named(key: str, 
     assert [cause.effect for cause in found.causes] == [f"parameter:beam.{key}"]
     ratio = found.causes[0].parameters["value"].value / (SFLR["beam"][key] * factor)
     assert 0.75 < ratio < 1.33
+
+
+LIGHT = Rig.model_validate({
+    "name": "light", "sample_rate": 1000.0, "amplifier": {"limit": 400.0},
+    "motor": {"inertia": 0.0009, "damping": 0.008, "gain": 0.0012}, "drive": {"stiffness": 12.0, "damping": 0.006},
+    "base": {"inertia": 0.0015}, "encoder": {"counts_per_revolution": 8000}, "uncertainty": {"default": 0.1}})
+"""Two light masses on a soft shaft: with play in it they come to blows at 20 to 50 Hz."""
+
+
+@pytest.mark.parametrize("wrong", [0.005, 0.0169, 0.0185, 0.03])
+def test_a_gap_is_found_by_longer_and_longer_horizons_where_whole_runs_have_a_valley_at_another_size(
+        wrong: float) -> None:
+    loose = LIGHT.with_effects([Backlash(at="drive", gap=0.02)])
+    t = np.arange(3000) / LIGHT.sample_rate
+    zero, runs = np.zeros(len(t)), []
+    for name, command in (("chirp", 120.0 * np.sin(2.0 * np.pi * (0.5 * t + 2.5 * t**2))),
+                          ("square", 90.0 * np.sign(np.sin(2.0 * np.pi * 1.7 * t))),
+                          ("noise", 100.0 * np.sign(np.repeat(np.random.default_rng(3).normal(size=60), 50)))):
+        command = np.round(command)
+        asked = Run(name, t, command, command, zero, None, RunMetadata(controller={"kind": "open"}, command_row=0))
+        runs.append(replace(asked, encoder=simulate(loose, asked).encoder))
+    predictor = predictions(LIGHT, runs)
+    space = parameters(predictor.data, Hypothesis(((Backlash, "drive"),)), {("backlash", "drive"): {"gap": wrong}})
+    stuck, found = (way(predictor, space, unknown(predictor), space.mean, predictor.data.own, **THOROUGH)
+                    for way in (attempted, arrived))
+    assert space.values(found.x)["backlash", "drive"]["gap"] == pytest.approx(0.02, rel=0.01)
+    assert found.objective < stuck.objective - 100.0
+    whole = np.sqrt(found.squares / found.counts)[:, predictor.longest]
+    assert np.all(whole < 2.0), "of some counts when the fit is stuck; 1 is rounding"
