@@ -16,7 +16,7 @@ from station.diagnose.equivalences import Setting, completed, exact_sizes, rival
 from station.diagnose.experiment import choose
 from station.diagnose.finding import between_runs, bought, find
 from station.diagnose.logs import as_logged
-from station.diagnose.odds import Odds, estimates, in_order, with_outside
+from station.diagnose.odds import Odds, estimates, in_order, rig_of, with_outside
 from station.diagnose.ranking import in_file, notes, ranking
 from station.diagnose.result import (
     Cause,
@@ -103,8 +103,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     causes = [Cause(effect=key[0], at=key[1], probability=told.causes[key], parameters=values[key],
                     stability=finding.by_law.stability.get(key, 0.0),
                     rivals=rivals(told, said.causes, key, known)) for key in order]
-    refit_rig = nothing.space.rig_at(nothing.x)
-    extended = shown.space.rig_at(shown.x)
+    refit_rig, extended = rig_of(nothing), rig_of(shown)
     comparisons = [RunComparison(run, before, refit, after if causes else None, seconds_ahead(data, k), part,
                                  data.records[k].window, shown.space.zero(shown.x, data.records[k].zero_group))
                    for k, (run, before, refit, after, part) in enumerate(

@@ -26,13 +26,16 @@ from station.estimation.fitted import Fit
 from station.estimation.identifiability import NORMAL, parameter_states
 from station.estimation.noise import QUANTISATION
 from station.estimation.parameters import Coordinate
-from station.estimation.spread import Spread, between_runs
+from station.estimation.spread import Spread, between_runs, shared
 from station.model.effects import effect_class
 from station.model.units import UNITS
+from station.rig import Rig
 
 RESAMPLES = 400
 """A probability of one half is then known to 0.025."""
 SEED = 20240229
+MOTOR_GAIN = "motor.gain"
+"""What is one with a share of the command by which the motor does more in all runs."""
 SEVERAL = 3
 """Runs from which on their scatter widens an interval."""
 
@@ -259,6 +262,24 @@ def may_be_none(found: Fit, key: Key, values: dict[str, Estimate]) -> bool:
     return any(holds_none(one) for one in sizes if one not in finite) or bool(finite) and all(map(holds_none, finite))
 
 
+def common_gain(found: Fit) -> float:
+    """How many times the motor does what a fit's constants say in all runs alike; 1 where that may be chance, or the
+    rig file calls its gain exact.
+
+    Of a gain that is wrong in all of a few runs each may be given its own; but what they share is no difference, it is
+    the rig's.
+    """
+    shares = found.own[:, 2]
+    exact = float(found.space.rig.log_covariance([MOTOR_GAIN])[0, 0]) == 0.0
+    return 1.0 if found.alone or exact or shared(shares) < VARIES else 1.0 + float(np.mean(shares))
+
+
+def rig_of(found: Fit) -> Rig:
+    """The rig that a fit describes, with what the motor does in all runs alike."""
+    rig = found.space.rig_at(found.x)
+    return rig.with_constants({MOTOR_GAIN: common_gain(found) * rig.motor.gain})
+
+
 def estimates(found: Fit, rougher: Fit, left_out: Sequence[Fit], *, student: bool = True,
               ) -> tuple[dict[Key, dict[str, Estimate]], dict[str, Estimate]]:
     """Fitted parameters of each cause, and the rig's constants, with 95 % intervals.
@@ -286,6 +307,7 @@ def estimates(found: Fit, rougher: Fit, left_out: Sequence[Fit], *, student: boo
     constants = {}
     for i, path in enumerate(space.paths):
         value, deviation, between = nominal[path] * math.exp(logs[i]), log_sd[i], None
+        value *= common_gain(found) if path == MOTOR_GAIN else 1.0
         if path in space.hypothesis.constants:
             seen = _between(found, space.along_log(path))
             own = space.root[i] @ seen.covariance[:n, :n] @ space.root[i]

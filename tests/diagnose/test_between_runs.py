@@ -12,10 +12,13 @@ import numpy as np
 import pytest
 
 from station.diagnose.diagnose import diagnose
+from station.diagnose.odds import common_gain, estimates, rig_of
 from station.diagnose.result import Diagnosis
 from station.model.effects import effect_class
 from station.rig import Rig
 from station.view import wording
+from tests.estimation.made import AXIS
+from tests.estimation.test_between_runs import fitted
 from tests.truth import RIGID_AXIS, make_case
 from tests.truth.cases import Case, simulate_case
 from tests.truth.rigs import with_constants
@@ -87,3 +90,18 @@ def test_friction_that_differs_from_run_to_run_is_told_with_its_spread(shares: t
         assert told.spread == pytest.approx(true * np.std(shares, ddof=1), rel=0.6)
     else:
         assert told.spread is None
+
+
+@pytest.mark.parametrize(("shares", "common"), [([0.25, 0.24, 0.26, 0.25, 0.23, 0.26], 1.25),
+                                                ([0.2, -0.2, 0.1, -0.1, 0.2, -0.2], 1.0)])
+def test_what_the_motor_does_more_in_all_runs_alike_is_the_rigs(shares: list[float], common: float) -> None:
+    """Of a gain that the file calls certain each run is given its own; the rig that is handed back has what all share,
+    and so has the value that is stated."""
+    certain = AXIS.model_copy(update={"uncertainty": {"default": 0.001, "motor.gain": 0.02}})
+    found = fitted(np.zeros(6), shares, rig=certain, begun=(0.3, 0.0))
+    assert common_gain(found) == pytest.approx(common, abs=0.03) and (common > 1.0 or common_gain(found) == 1.0)
+    gain = rig_of(found).motor.gain
+    assert gain == pytest.approx(common_gain(found) * found.space.rig_at(found.x).motor.gain)
+    assert estimates(found, found, [])[1]["motor.gain"].value == pytest.approx(gain)
+    exact = certain.model_copy(update={"uncertainty": {"default": 0.001, "motor.gain": 0.0}})
+    assert common_gain(fitted(np.zeros(6), shares, rig=exact, begun=(0.3, 0.0))) == 1.0

@@ -11,6 +11,7 @@ from rich.console import Console
 
 from station.diagnose.equivalences import TABLE
 from station.diagnose.result import (
+    NOT_NAMED,
     BetweenRuns,
     Cause,
     ChannelGain,
@@ -19,6 +20,7 @@ from station.diagnose.result import (
     Disturbance,
     Estimate,
     Gain,
+    Ranked,
     RankedCause,
     Reason,
     Rival,
@@ -230,6 +232,19 @@ def test_what_is_unexplained_says_how_much(share: float, words: str) -> None:
             wording.verdict_sentence(differ, found.rig))
     none = wording.verdict_sentence(found.diagnosis.model_copy(update={"disturbance": None}), found.rig)
     assert none.startswith("The simulation gets something wrong, and no cause known here")
+
+
+@pytest.mark.parametrize("disturbance", [None, Disturbance(nominal=0.6, refitted=0.5, extended=0.5)])
+def test_what_runs_left_out_speak_against_is_told_as_that(disturbance: Disturbance | None) -> None:
+    found, note = made.result("unexplained"), NOT_NAMED["left_out"]
+    rows = [Ranked(effect="backlash", at="drive", probability=0.91, note=note),
+            Ranked(effect="hardening_spring", at="drive", probability=0.91, note=note),
+            Ranked(effect="dead_zone", at="amplifier", probability=0.3)]
+    for count, words in ((1, "backlash in the drive, which most resamples name, does not help on runs that no fit has "
+                             "seen."), (2, "hardening spring in the drive, which most resamples name, do not help")):
+        told = found.diagnosis.model_copy(update={"disturbance": disturbance, "ranking": rows[:count] + rows[2:]})
+        said = wording.verdict_sentence(told, found.rig)
+        assert words in said and "no cause known here is named: backlash" in said and "dead zone" not in said
 
 
 @pytest.mark.parametrize(("before", "after", "words"), [

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from station.diagnose.result import NOT_NAMED
 from station.diagnose.thresholds import STABLE, SURE
 from station.estimation.cause import constant_path, is_constant
 from station.view.wording.names import LATENCY, cause_title, constant_title, joined
@@ -33,9 +34,8 @@ def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
     if diagnosis.verdict == "ambiguous" and causes:
         return _ambiguous(diagnosis, rig)
     if diagnosis.verdict == "unexplained" and diagnosis.disturbance is not None:
-        return _unexplained(diagnosis.disturbance.refitted, differing(diagnosis))
-    return {"unexplained": "The simulation gets something wrong, and no cause known here is named by most resamples "
-                           "of these runs and helps on runs that no fit has seen.",
+        return _unexplained(diagnosis.disturbance.refitted, differing(diagnosis), _none_named(diagnosis))
+    return {"unexplained": f"The simulation gets something wrong, and {_none_named(diagnosis)}.",
             "nothing_missing": "Nothing is missing: the simulation agrees with these runs to within noise and "
                                "the rig's stated uncertainty.",
             "not_enough_data": "These runs are not enough: most effects would not have shown in them.",
@@ -61,14 +61,22 @@ def _accusation(causes: Sequence[Cause], rig: Rig) -> str:
     return " and ".join(parts)
 
 
-def _unexplained(missing: float, differ: str) -> str:
+def _none_named(diagnosis: Diagnosis) -> str:
+    """Why no cause is stated: no set is stable, or runs left out speak against the one that is."""
+    against = [cause_title(row.effect, row.at) for row in diagnosis.ranking if row.note == NOT_NAMED["left_out"]]
+    if not against:
+        return "no cause known here is named by most resamples of these runs and helps on runs that no fit has seen"
+    return (f"no cause known here is named: {joined(against)}, which most resamples name, "
+            f"{'does' if len(against) == 1 else 'do'} not help on runs that no fit has seen")
+
+
+def _unexplained(missing: float, differ: str, none_named: str) -> str:
     """``missing``: torque, a share of the command's, that the re-fitted rig lacks; ``differ``: how runs do."""
     share = f"a torque of {percent(missing)} of the command's"
     little = ", but little" if missing < SMALL and not differ else ""
     begin = f": {differ}. With that and" if differ else f"{little}: with"
     ends = (f"all that is left is {share}, which no law of the catalogue describes." if missing < SMALL else
-            f"{share} is still missing, and no cause known here is named by most resamples of these runs and helps on "
-            "runs that no fit has seen.")
+            f"{share} is still missing, and {none_named}.")
     return f"The simulation gets something wrong{begin} its constants re-fitted {ends}"
 
 
