@@ -87,7 +87,7 @@ class Selection:
     """What errors count for where sets are compared, if it is not the same (``judge``)."""
     found_by: Weighing | None = None
     """What errors count for where sets are compared and parameters found, if these are not the same (``judge``)."""
-    arrived: set[Causes] = field(default_factory=set)
+    gaps_sought: set[Causes] = field(default_factory=set)
     """Sets with a gap that were fitted by longer and longer horizons."""
     looked_back: Fit | None = None
     """The fit that was last looked back upon."""
@@ -433,8 +433,8 @@ def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
                    to_the_end=to_the_end)
 
     fits, jobs = list(fits), []
-    sought = {found.key for found in fits if not complete and has_gap(found.space)} - search.arrived
-    search.arrived |= sought
+    sought = {found.key for found in fits if not complete and has_gap(found.space)} - search.gaps_sought
+    search.gaps_sought |= sought
     for found in fits:
         own, alike = search.own_weighing(found).differ, found.most_likely_differ(weighing, (False, False))
         jobs.append((found, own))
