@@ -108,11 +108,11 @@ def as_logged(rig: Rig, runs: list[Run]) -> list[Run]:
 
 def tell_compared(paths: list[Path], runs: list[Run], compared: Comparison) -> None:
     """Say on standard error which closed loops are predicted a time ahead and not simulated."""
-    for path, run, taken, ahead in zip(paths, runs, compared.runs, compared.seconds_ahead, strict=True):
+    for path, run, taken, ahead, why in zip(paths, runs, compared.runs, compared.seconds_ahead, compared.not_closed,
+                                            strict=True):
         if ahead is not None:
-            why = ("the log does not say what closed its loop" if run.loop_unknown else
-                   "the log does not say rightly what closed its loop" if taken.loop_unknown else
-                   "a log that begins in motion, or lost its reference, does not say how to close its loop again")
+            if taken.loop_unknown and not run.loop_unknown:
+                why = "the log does not say rightly what closed its loop"
             note(f"{path}: {why}, so it is predicted {ahead:g} s ahead of what was read, by its logged commands, and "
                  f"not simulated as a whole{f'; {NAME_IT}' if run.loop_unknown else ''}")
 

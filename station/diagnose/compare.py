@@ -11,7 +11,7 @@ import numpy as np
 from station import markup
 from station.diagnose.measures import measures
 from station.diagnose.result import CHANNELS
-from station.diagnose.validation import seconds_ahead, settled_run, whole_run
+from station.diagnose.validation import not_closed, seconds_ahead, settled_run, whole_run
 from station.estimation.dataset import Dataset, dataset
 from station.model.simulate import Model, Simulation, build
 from station.rig import Rig
@@ -32,6 +32,8 @@ class Comparison:
     """(n) of each those that count: that were logged, and not those from which the state of a rig in motion is told."""
     seconds_ahead: tuple[float | None, ...]
     """How far ahead each is predicted, where its loop cannot be closed again; None: it is simulated as a whole."""
+    not_closed: tuple[str, ...]
+    """Why its loop cannot be closed again, as a clause; empty where it can."""
 
     @property
     def measures(self) -> list[dict[str, Any]]:
@@ -67,8 +69,9 @@ def compare(rig: Rig, runs: Sequence[Run], progress: Callable[[float], None] = l
     for r in range(len(data.runs)):
         made.append(_nearest(data, model, r))
         progress((r + 1) / len(data.runs))
-    ahead = tuple(seconds_ahead(data, r) for r in range(len(data.runs)))
-    return Comparison(rig, data.runs, tuple(made), tuple(record.window for record in data.records), ahead)
+    every = range(len(data.runs))
+    return Comparison(rig, data.runs, tuple(made), tuple(record.window for record in data.records),
+                      tuple(seconds_ahead(data, r) for r in every), tuple(not_closed(data, r) for r in every))
 
 
 def _nearest(data: Dataset, model: Model, r: int) -> Simulation:

@@ -31,7 +31,7 @@ from station.diagnose.result import (
 from station.diagnose.selection import EFFORTS, Selection, select
 from station.diagnose.thresholds import FEW
 from station.diagnose.unseen import sized, unseen
-from station.diagnose.validation import gain, nominal, seconds_ahead
+from station.diagnose.validation import gain, nominal, not_closed, seconds_ahead
 from station.diagnose.verdict import verdict
 from station.diagnose.wrong import wrong
 from station.errors import UsageError, WorkError
@@ -105,7 +105,8 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
                     rivals=rivals(told, said.causes, key, known)) for key in order]
     refit_rig, extended = rig_of(nothing), rig_of(shown)
     comparisons = [RunComparison(run, before, refit, after if causes else None, seconds_ahead(data, k), part,
-                                 data.records[k].window, shown.space.zero(shown.x, data.records[k].zero_group))
+                                 data.records[k].window, shown.space.zero(shown.x, data.records[k].zero_group),
+                                 not_closed(data, k))
                    for k, (run, before, refit, after, part) in enumerate(
                        zip(runs, *judged.simulations, parts, strict=True))]
     acting = predictor.on(replace(data, rig=data.rig.with_effects(extended.effects)))

@@ -211,6 +211,8 @@ class RunComparison:
     """(n) whether each counts, in that part; by default all that were logged do."""
     zero: float = 0.0
     """Absolute angle of the encoder's count 0, rad, by the fit of all runs."""
+    not_closed: str = ""
+    """Why its loop cannot be closed again, as a clause."""
 
     def zeroed(self, angle_per_count: float) -> Run:
         """The run with its angle counted from where the rig's effects count theirs, as all runs of the diagnosis."""

@@ -29,13 +29,22 @@ OWN_STEPS = 8
 """Most steps to what a run has of its own."""
 
 
-def seconds_ahead(data: Dataset, run: int) -> float | None:
-    """How far ahead a run is predicted where its loop cannot be closed again: its controller is unknown, its log begins
-    in motion, or its reference moved in a gap.  None: it is simulated as a whole."""
+def not_closed(data: Dataset, run: int) -> str:
+    """Why a run's loop cannot be closed again, as a clause; empty where it can, or none was closed."""
     this, record = data.runs[run], data.records[run]
+    if this.open_loop:
+        return ""
+    if this.loop_unknown:
+        return "the log does not say what closed its loop"
+    if record.in_motion:
+        return "the log begins in motion"
     moved = np.diff(this.reference, append=this.reference[-1])[this.blank].any()
-    lost = this.loop_unknown or record.in_motion or moved
-    return UNKNOWN_AHEAD if lost and not this.open_loop else None
+    return "the reference moved in a gap of the log" if moved else ""
+
+
+def seconds_ahead(data: Dataset, run: int) -> float | None:
+    """How far ahead a run is predicted where its loop cannot be closed again.  None: it is simulated as a whole."""
+    return UNKNOWN_AHEAD if not_closed(data, run) else None
 
 
 def whole_run(data: Dataset, model: Model, run: int, own: np.ndarray, *, rounding: bool = True,

@@ -60,6 +60,15 @@ class Answer:
         """Whether it moves so many times as much, or as little, whichever way."""
         return abs(self.sureness) > CORRELATED and not 1.0 / factor < abs(self.gain) < factor
 
+    @property
+    def suspect(self) -> bool:
+        """Whether it moves so many times as much, or as little, that its unit may be another.
+
+        The prediction errs, too: what is true lies between g and g/r^2, by the regression of each on the other (Frisch,
+        Statistical Confluence Analysis, 1934).
+        """
+        return self.off_by(SUSPECT) and replace(self, gain=self.gain / self.sureness**2).off_by(SUSPECT)
+
 
 def answers(predictor: Predictor) -> list[Answer]:
     """Of every run that drives the rig, the angle first.
@@ -138,8 +147,8 @@ def unlikely(found: Sequence[Answer], explained: Sequence[Answer] = ()) -> list[
         if not sure:
             continue
         usual = _usual(sure)
-        met = {one.run for one in [*again, *([_usual(again)] if again else [])] if not one.off_by(SUSPECT)}
-        off = [one for one in [usual, *sure] if one.off_by(SUSPECT) and one.run not in met]
+        met = {one.run for one in [*again, *([_usual(again)] if again else [])] if not one.suspect}
+        off = [one for one in [usual, *sure] if one.suspect and one.run not in met]
         for one in [usual] if usual in off else off:
             where, others = (f"{one.run}: ", f", of the other runs {usual.gain:.2g} times") if one.run else ("", "")
             said.append(f"{where}the {reading} answers the commands {one.gain:.2g} times as much as the rig file "
@@ -149,4 +158,5 @@ def unlikely(found: Sequence[Answer], explained: Sequence[Answer] = ()) -> list[
 
 def _usual(sure: Sequence[Answer]) -> Answer:
     """How one reading answers in most of the runs."""
-    return Answer("", sure[0].reading, float(np.median([one.gain for one in sure])), 1.0)
+    gain, sureness = np.median([(one.gain, one.sureness) for one in sure], axis=0)
+    return Answer("", sure[0].reading, float(gain), float(sureness))

@@ -77,12 +77,8 @@ def print_comparison(comparisons: Sequence[RunComparison], console: Console,
             rows.append((c.run.name, wording.CHANNELS[channel], *errors, *between))
     console.print(_table("Error on runs that no fit has seen, share of the signal",
                          ["run", "channel", "before", "re-fitted", "after", *extra], rows))
-    ahead = [c for c in comparisons if c.seconds_ahead is not None]
-    if ahead:
-        names = ", ".join(c.run.name for c in ahead)
-        console.print(_plain(f"{names}: predicted {ahead[0].seconds_ahead:g} s ahead, for a loop of unknown "
-                             "controller, in motion from the start, or with a gap in which its reference moved, cannot "
-                             "be simulated."))
+    for told in wording.predicted_ahead(comparisons):
+        console.print(_plain(told))
 
 
 def _print_ahead(found: Diagnosis, console: Console) -> None:

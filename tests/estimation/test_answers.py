@@ -89,6 +89,15 @@ def test_four_times_the_counts_are_told_and_not_refused() -> None:
     assert "angle" in sentence and "counts_per_revolution" in sentence
 
 
+@pytest.mark.parametrize(("gain", "sureness", "doubted"), [
+    (0.32, 0.97, False), (0.32, 0.99, True), (0.25, 0.8, False), (3.1, 0.6, True), (2.9, 0.6, False), (0.1, 0.6, True)])
+def test_a_unit_is_doubted_where_no_gain_between_both_regressions_is_a_rigs(gain: float, sureness: float,
+                                                                            doubted: bool) -> None:
+    """A prediction that errs makes the regression of readings on it too flat: by 1/r^2 at most."""
+    assert Answer("run", "angle", gain, sureness).suspect is doubted
+    assert bool(unlikely([Answer("run", "angle", gain, sureness)])) is doubted
+
+
 def test_one_log_of_another_unit_is_told_by_its_name() -> None:
     rig, runs = made("axis")
     given = [*runs[:-1], *altered(runs[-1:], encoder=1.0 / 11.0)]
@@ -97,8 +106,8 @@ def test_one_log_of_another_unit_is_told_by_its_name() -> None:
 
 
 def test_what_friction_explains_is_no_unit() -> None:
-    """Weak pulses move an axis that rubs by a fifth, but not one of another unit."""
-    rubbing = AXIS.with_effects([CoulombFriction(at="motor", torque=0.8 * 40.0 * AXIS.motor.gain)])
+    """Weak pulses move an axis that rubs by a sixth, but not one of another unit."""
+    rubbing = AXIS.with_effects([CoulombFriction(at="motor", torque=0.85 * 40.0 * AXIS.motor.gain)])
     runs = [run_of(rubbing, 40.0, "open", "slow"), *(run_of(rubbing, size, "p2", f"{size}") for size in (300.0, 200.0))]
     (sentence,) = unlikely(answers(predictions(AXIS, runs)))
     assert sentence.startswith("slow: the angle")

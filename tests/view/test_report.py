@@ -183,10 +183,13 @@ def test_gains_ahead_step_measures_and_the_missing_torque_stand_in_it() -> None:
 def test_a_run_whose_loop_cannot_be_simulated_is_said_to_be_predicted() -> None:
     known = made.result()
     assert "0.5 s ahead" not in Page(report_html(known)).text
-    lost = [replace(c, seconds_ahead=0.5) for c in known.comparisons[:3]]
-    text = Page(report_html(replace(known, comparisons=[*lost, *known.comparisons[3:]]))).text
-    assert "3 of these runs cannot be simulated as a whole loop (controller unknown, in motion from the start, or " \
-           "a gap in which the reference moved): they are predicted 0.5 s ahead" in text
+    first, second, third, *others = known.comparisons
+    lost = [replace(c, seconds_ahead=0.5, not_closed=why) for c, why in (
+        (first, "the log begins in motion"), (second, "it does not say"), (third, "the log begins in motion"))]
+    text = Page(report_html(replace(known, comparisons=[*lost, *others]))).text
+    told = "predicted 0.5 s ahead of what was read, by the logged command, and not simulated as a whole"
+    assert f"{first.run.name}, {third.run.name}: {told}, for the log begins in motion." in text
+    assert f"{second.run.name}: {told}, for it does not say." in text
 
 
 def test_what_is_known_to_be_the_same_stands_beside_the_cause() -> None:

@@ -204,7 +204,7 @@ def test_a_delay_that_no_test_places_is_told_as_one_latency() -> None:
     assert headline(late(cause=settled)) == (
         "The simulation leaves out Coulomb friction at the motor and a latency of 0.32 ms in the loop (encoder or "
         "input). These runs cannot tell whether that latency stands at the encoder or at the input.")
-    assert "and a latency of 0.32 ms in the loop (encoder or input); with" in headline(late("partly_explained"))
+    assert "and probably leaves out a latency of 0.32 ms in the loop" in headline(late("partly_explained"))
     result, out = late(), io.StringIO()
     print_diagnosis(result, Console(file=out, width=200))
     for text in (out.getvalue(), report_html(result)):
@@ -232,6 +232,31 @@ def test_what_is_unexplained_says_how_much(share: float, words: str) -> None:
             wording.verdict_sentence(differ, found.rig))
     none = wording.verdict_sentence(found.diagnosis.model_copy(update={"disturbance": None}), found.rig)
     assert none.startswith("The simulation gets something wrong, and no cause known here")
+
+
+@pytest.mark.parametrize(("probable", "words"), [
+    (0.42, "wrong: with its constants re-fitted"), (0.6, "from run to run the motor probably does more or less"),
+    (0.91, "from run to run the motor does more or less")])
+def test_runs_that_likely_do_not_differ_are_not_said_to_in_the_headline(probable: float, words: str) -> None:
+    found = made.result("unexplained")
+    runs = BetweenRuns(share=0.05, probability={"share": probable}, stability={"share": 0.9})
+    told = found.diagnosis.model_copy(update={"between_runs": runs, "outside": 0.09,
+                                              "disturbance": Disturbance(nominal=0.2, refitted=0.1, extended=0.1)})
+    assert words in wording.verdict_sentence(told, found.rig)
+
+
+@pytest.mark.parametrize(("probable", "words"), [
+    ((0.9, 0.75), "The simulation leaves out Coulomb friction at the motor and Stribeck friction at the motor; with"),
+    ((0.9, 0.65), "leaves out Coulomb friction at the motor, and probably leaves out Stribeck friction at the motor;"),
+    ((0.9, 0.41), "leaves out Coulomb friction at the motor, and perhaps leaves out Stribeck friction at the motor;"),
+    ((0.6, 0.41), "The simulation probably leaves out Coulomb friction at the motor, and perhaps leaves out Stribeck")])
+def test_a_headline_is_no_surer_than_the_odds(probable: tuple[float, float], words: str) -> None:
+    found = made.result("partly_explained")
+    first = made.result("explained").diagnosis.causes[0]
+    causes = [first.model_copy(update={"effect": effect, "at": "motor", "probability": p}) for effect, p in
+              zip(("coulomb_friction", "stribeck_friction"), probable, strict=True)]
+    told = found.diagnosis.model_copy(update={"causes": causes, "outside": 0.09})
+    assert words in wording.verdict_sentence(told, found.rig)
 
 
 @pytest.mark.parametrize("disturbance", [None, Disturbance(nominal=0.6, refitted=0.5, extended=0.5)])

@@ -19,12 +19,13 @@ from station.view.wording.numbers import decimal, digits_of, interval, number, p
 from station.view.wording.odds import outside_sentence, rest_sentence
 from station.view.wording.ranking import ranked, why
 from station.view.wording.remains import disturbance, remains_sentence, residual_words
-from station.view.wording.runs import between_runs
+from station.view.wording.runs import between_runs, predicted_ahead
 from station.view.wording.verdict import verdict_sentence
 from station.view.wording.wrong import fact, measure
 
 __all__ = ["CHANNELS", "STATES", "VERDICTS", "ahead_times", "any_step", "as_told", "between_runs", "beyond",
-           "cause_title", "constant_title", "decimal", "digits_of", "disturbance", "fact", "gain_rows",
-           "gone", "interval", "measure", "next_test", "no_test", "number", "outside_sentence", "percent", "plain",
-           "probability", "ranked", "remains_sentence", "resamples", "residual_words", "rest_sentence", "run_command",
-           "sentence", "step_words", "strained", "test_words", "unit_of", "verdict_sentence", "why"]
+           "cause_title", "constant_title", "decimal", "digits_of", "disturbance", "fact", "gain_rows", "gone",
+           "interval", "measure", "next_test", "no_test", "number", "outside_sentence", "percent", "plain",
+           "predicted_ahead", "probability", "ranked", "remains_sentence", "resamples", "residual_words",
+           "rest_sentence", "run_command", "sentence", "step_words", "strained", "test_words", "unit_of",
+           "verdict_sentence", "why"]

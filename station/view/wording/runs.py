@@ -1,20 +1,36 @@
-"""In what the runs differ by themselves."""
+"""In what the runs differ by themselves, and which of them cannot be simulated as a whole."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from station.diagnose.thresholds import LIKELY, SURE
 from station.view.wording.numbers import number, percent, probability, resamples
 
 if TYPE_CHECKING:
-    from station.diagnose.result import Diagnosis
+    from station.diagnose.result import Diagnosis, RunComparison
 
 
 def differing(diagnosis: Diagnosis) -> str:
-    """That the runs differ by themselves, as a clause; empty where they do not."""
+    """That the runs differ by themselves, as a clause; empty where that is not likelier than not."""
     found = diagnosis.between_runs
+    most = max(found.probability.values(), default=0.0) if found is not None else 0.0
+    if most <= LIKELY:
+        return ""
     where = "from one half of the run to the other" if len(diagnosis.runs) == 1 else "from run to run"
-    return f"{where} the motor does more or less by itself" if found is not None and found.probability else ""
+    hedge = "" if most >= SURE * (1.0 - diagnosis.outside) else "probably "
+    return f"{where} the motor {hedge}does more or less by itself"
+
+
+def predicted_ahead(comparisons: Sequence[RunComparison]) -> list[str]:
+    """Which runs are predicted a time ahead and not simulated as a whole, a sentence for each reason."""
+    found: dict[tuple[str, float], list[str]] = {}
+    for row in comparisons:
+        if row.seconds_ahead is not None:
+            found.setdefault((row.not_closed, row.seconds_ahead), []).append(row.run.name)
+    return [f"{', '.join(names)}: predicted {seconds:g} s ahead of what was read, by the logged command, and not "
+            f"simulated as a whole, for {why}." for (why, seconds), names in found.items()]
 
 
 def between_runs(diagnosis: Diagnosis) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from station.diagnose.result import NOT_NAMED
-from station.diagnose.thresholds import STABLE, SURE
+from station.diagnose.thresholds import LIKELY, STABLE, SURE
 from station.estimation.cause import constant_path, is_constant
 from station.view.wording.names import LATENCY, cause_title, constant_title, joined
 from station.view.wording.numbers import number, percent, unit_of
@@ -30,7 +30,8 @@ def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
                   "its predictions come closer, whole runs do not, and")
         ends = {"explained": "only noise and the rig's stated uncertainty remain",
                 "partly_explained": f"{closer} more than noise remains"}
-        return f"The simulation {_accusation(causes, rig)}; with that put right, {ends[diagnosis.verdict]}."
+        accused = _hedged(causes, diagnosis.outside, rig)
+        return f"The simulation {accused}; with that put right, {ends[diagnosis.verdict]}."
     if diagnosis.verdict == "ambiguous" and causes:
         return _ambiguous(diagnosis, rig)
     if diagnosis.verdict == "unexplained" and diagnosis.disturbance is not None:
@@ -40,6 +41,15 @@ def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
                                "the rig's stated uncertainty.",
             "not_enough_data": "These runs are not enough: most effects would not have shown in them.",
             }.get(diagnosis.verdict, "The simulation gets something wrong that these runs do not settle.")
+
+
+def _hedged(causes: Sequence[Cause], outside: float, rig: Rig) -> str:
+    """What is as good as certain, then what is only likely."""
+    sure = [c for c in causes if c.probability >= SURE * (1.0 - outside)]
+    likely = [c for c in causes if c not in sure and c.probability > LIKELY]
+    rest = [c for c in causes if c not in sure and c not in likely]
+    words = (("", sure), ("probably ", likely), ("perhaps ", rest))
+    return ", and ".join(f"{how}{_accusation(some, rig)}" for how, some in words if some)
 
 
 def _accusation(causes: Sequence[Cause], rig: Rig) -> str:
