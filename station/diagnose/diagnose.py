@@ -13,10 +13,11 @@ from threadpoolctl import threadpool_limits
 
 from station.diagnose import PREPARE
 from station.diagnose.equivalences import Setting, completed, exact_sizes, rivals, standing, with_word
+from station.diagnose.estimates import estimates, rig_of, with_sizes
 from station.diagnose.experiment import choose
 from station.diagnose.finding import between_runs, bought, find
 from station.diagnose.logs import as_logged
-from station.diagnose.odds import Odds, estimates, in_order, rig_of, with_outside
+from station.diagnose.odds import Odds, in_order, with_outside
 from station.diagnose.ranking import in_file, notes, ranking
 from station.diagnose.result import (
     Cause,
@@ -103,7 +104,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
     causes = [Cause(effect=key[0], at=key[1], probability=told.causes[key], parameters=values[key],
                     stability=finding.by_law.stability.get(key, 0.0),
                     rivals=rivals(told, said.causes, key, known)) for key in order]
-    refit_rig, extended = rig_of(nothing), rig_of(shown)
+    refit_rig, extended = rig_of(nothing), with_sizes(rig_of(shown), values)
     comparisons = [RunComparison(run, before, refit, after if causes else None, seconds_ahead(data, k), part,
                                  data.records[k].window, shown.space.zero(shown.x, data.records[k].zero_group),
                                  not_closed(data, k))

@@ -7,8 +7,8 @@ from functools import partial
 
 import numpy as np
 
+from station.diagnose.estimates import estimates, may_be_none
 from station.diagnose.finding import Finding, bought, without
-from station.diagnose.odds import estimates, may_be_none
 from station.diagnose.selection import Selection
 from station.diagnose.validation import (
     all_predicted,

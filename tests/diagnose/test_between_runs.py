@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from station.diagnose.diagnose import diagnose
-from station.diagnose.odds import common_gain, estimates, rig_of
+from station.diagnose.estimates import common_gain, estimates, rig_of
 from station.diagnose.result import Diagnosis
 from station.model.effects import effect_class
 from station.rig import Rig
