@@ -805,8 +805,8 @@ def both(out: tr.Output) -> np.ndarray:
     return np.concatenate([out.encoder, out.accel])
 
 
-@pytest.mark.parametrize("loop", ["open", pytest.param("p2", marks=pytest.mark.long),
-                                  pytest.param("lead", marks=pytest.mark.long), "lead_accel"])
+@pytest.mark.parametrize("loop", [*(pytest.param(loop, marks=pytest.mark.long) for loop in ("open", "p2", "lead")),
+                                  "lead_accel"])
 def test_disturbances_scatter_as_their_covariance_says_quick_and_slow(loop):
     """Drawn ones, sent through the whole simulation, have along the covariance's axes the variance that it says: where
     that is far above a sensor's noise, beside it and below it."""

@@ -8,6 +8,7 @@ import math
 import platform
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import cached_property
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -128,7 +129,7 @@ class _Page:
             return ""
         return f"Fitted to the points' medians the law would have {wording.number(share, 2)} times its size."
 
-    @property
+    @cached_property
     def hero_facts(self) -> list[tuple[str, str]]:
         """What the hero's run gets wrong: the measure, and simulated against measured, in words."""
         if self.hero is None:
@@ -136,23 +137,23 @@ class _Page:
         shown = (self.hero[0].run.name, self.hero[1])
         return [wording.fact(w) for w in self.diagnosis.wrong if (w.run, w.channel) == shown][:2]
 
-    @property
+    @cached_property
     def predicted(self) -> dict[str, float]:
         """Of the runs that are predicted and not simulated as a whole, how many seconds ahead."""
         return {c.run.name: c.seconds_ahead for c in self.result.comparisons if c.seconds_ahead is not None}
 
-    @property
+    @cached_property
     def hashes(self) -> dict[str, str | None]:
         """SHA-256 of the runs' files by the name of the run, or of its half where a run is alone."""
         kept = {row.run: row.file_sha256 for row in self.diagnosis.runs}
         names = [c.run.name for c in self.result.comparisons]
         return {name: kept.get(name, kept.get(name.rsplit(" (", 1)[0])) for name in names}
 
-    @property
+    @cached_property
     def has_after(self) -> bool:
         return any(c.after is not None for c in self.result.comparisons)
 
-    @property
+    @cached_property
     def evidence(self) -> tuple[list[tuple[int, Evidence]], list[tuple[int, Evidence]]]:
         """The pictures with their numbers: those specific to the causes, and those that assume none.
 
@@ -162,24 +163,24 @@ class _Page:
         first = len(numbered) - 1 if self.diagnosis.causes and len(numbered) > 1 else 1
         return numbered[:first], numbered[first:]
 
-    @property
+    @cached_property
     def ranking(self) -> list[tuple[Any, str]]:
         """The candidates and why each stands where it does."""
         return wording.ranked(self.result, MAX_RANKED)
 
-    @property
+    @cached_property
     def first_ranked(self) -> int:
         """Candidates shown at once: at least the named ones, which stand first."""
         return max(FIRST_RANKED, len(self.diagnosis.causes) + 2)
 
-    @property
+    @cached_property
     def notes(self) -> tuple[list[str], list[str]]:
         """What the diagnosis noted on resamples, and the rest."""
         about = [note for note in self.result.notes if "resamples" in note]
         rest = [note for note in self.result.notes if note not in about]
         return list(map(wording.plain, about)), list(map(wording.plain, rest))
 
-    @property
+    @cached_property
     def gain_rows(self) -> list[GainRow]:
         rows, repeats = [], {row.run: row.repeats for row in self.diagnosis.gain.runs}
         for number, c in enumerate(self.result.comparisons, start=1):
@@ -189,28 +190,28 @@ class _Page:
                                     repeats.get(c.run.name, {}).get(channel)))
         return rows
 
-    @property
+    @cached_property
     def any_repeats(self) -> bool:
         """Whether any run's test was done again."""
         return any(row.repeats is not None for row in self.gain_rows)
 
-    @property
+    @cached_property
     def gain_scale(self) -> float:
         """The largest error of the gain table, the width of its drawings."""
         return max([e for r in self.gain_rows for e in (r.before, r.refit, r.after) if e is not None], default=1e-12)
 
-    @property
+    @cached_property
     def remains(self) -> str:
         """What is left, in a sentence."""
         return wording.remains_sentence(self.diagnosis, sum(r.larger for r in self.residuals), len(self.residuals))
 
-    @property
+    @cached_property
     def unpredicted(self) -> list[int]:
         """Numbers of the runs that have no residual one sample ahead."""
         told = {r.number for r in self.residuals}
         return [n for n in range(1, len(self.result.comparisons) + 1) if n not in told]
 
-    @property
+    @cached_property
     def constant_rows(self) -> list[ConstantRow]:
         nominal, fitted = self.rig.constants(), self.result.extended_rig.constants()
         estimates = self.result.constants
@@ -218,29 +219,29 @@ class _Page:
                             math.sqrt(self.rig.log_covariance([path])[0, 0]))
                 for path, value in nominal.items() if path in fitted]
 
-    @property
+    @cached_property
     def panels(self) -> int:
         """Channels drawn in the figures of what remains."""
         return len({r.channel for r in self.residuals})
 
-    @property
+    @cached_property
     def rig_changes(self) -> list[tuple[str, str]]:
         """What the extended rig changes in the rig file: lines with '+', '-' or ' ' before them."""
         lines = difflib.unified_diff(self.rig.to_toml().splitlines(), self.result.extended_rig.to_toml().splitlines(),
                                      n=1, lineterm="")
         return [(line[:1], line) for line in lines if not line.startswith(("---", "+++"))]
 
-    @property
+    @cached_property
     def rig_hash(self) -> str:
         """SHA-256 of the rig as Station writes it."""
         return hashlib.sha256(self.rig.to_toml().encode()).hexdigest()
 
-    @property
+    @cached_property
     def versions(self) -> str:
         return ", ".join([f"Station {station.__version__}", f"Python {platform.python_version()}",
                           *(f"{name} {metadata.version(name)}" for name in _LIBRARIES)])
 
-    @property
+    @cached_property
     def timing(self) -> list[tuple[str, list[str], str, list[tuple[str, int]]]]:
         """Of each run whose log tells it: how fast samples were answered (us: median, 99 %, 99.9 %, longest), the
         share of ticks that had no command in time, and the histogram's filled bins."""

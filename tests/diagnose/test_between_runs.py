@@ -37,7 +37,7 @@ def supplied(case: Case) -> Diagnosis:
     return diagnose(Rig.model_validate(RIGID_AXIS), runs, effort="quick").diagnosis
 
 
-@pytest.mark.parametrize("hidden", [[], [("coulomb_friction", "motor")]])
+@pytest.mark.parametrize("hidden", [pytest.param([], marks=pytest.mark.long), [("coulomb_friction", "motor")]])
 def test_a_supply_that_differs_is_told_run_by_run_and_nothing_is_named_for_it(hidden: list[tuple[str, str]]) -> None:
     said = supplied(make_case(8010, hidden, nominal=RIGID_AXIS, count=len(SHARES)))
     assert [(cause.effect, cause.at) for cause in said.causes] == hidden

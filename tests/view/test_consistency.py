@@ -102,7 +102,7 @@ def terminal(result: DiagnosisResult) -> str:
     return re.sub(r"\s+", " ", out.getvalue())
 
 
-@settings(max_examples=100, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(results())
 def test_no_two_sentences_contradict_each_other(result: DiagnosisResult) -> None:
     sentence = wording.verdict_sentence(result.diagnosis, result.rig)
@@ -113,7 +113,7 @@ def test_no_two_sentences_contradict_each_other(result: DiagnosisResult) -> None
             assert not (one and other), f"{one and one[0]!r} beside {other and other[0]!r}: {sentence}"
 
 
-@settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@settings(max_examples=20, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(results())
 def test_what_is_not_sure_says_where_the_rest_of_its_probability_lies(result: DiagnosisResult) -> None:
     text = Page(report_html(result)).text
