@@ -64,10 +64,19 @@ def remainder(predictor: Predictor, found: Fit) -> Remainder:
 def ahead_is_noise(predictor: Predictor, found: Fit, alone: Fit) -> bool:
     """Whether a few samples ahead a fit misses no more of the encoder than the sensor's noise, fed back, and the rig
     ``alone`` no more than it: a cause that takes the rest away has that for its evidence."""
-    def size(one: Fit) -> np.ndarray:
-        model = predictor.model(one.space, one.x)
-        return one.squares[:, 0] / noise_gain(predictor.observers[0], model, in_motion(predictor.data, model))
-    left, counts = size(found), predictor.counts[:, 0]
-    freedoms = np.array(predictor.data.noise_freedoms[0])
-    more = (size(alone) / left - 1.0) / np.sqrt(2.0 * SCATTER / counts)
-    return bool(np.all(_size(left, counts, freedoms) < NOISE) and np.all(more < NOISE))
+    counts, freedoms = predictor.counts[:, 0], np.array(predictor.data.noise_freedoms[0])
+    left = _size(_ahead(predictor, found), counts, freedoms)
+    return bool(np.all(left < NOISE)) and not misses_more_ahead(predictor, alone, found)
+
+
+def misses_more_ahead(predictor: Predictor, found: Fit, than: Fit) -> bool:
+    """Whether a few samples ahead a fit misses more of the encoder than another one does, by more than noise makes."""
+    more = _ahead(predictor, found) / _ahead(predictor, than) - 1.0
+    return bool(np.any(more >= NOISE * np.sqrt(2.0 * SCATTER / predictor.counts[:, 0])))
+
+
+def _ahead(predictor: Predictor, found: Fit) -> np.ndarray:
+    """(runs) sums of squares of what a fit misses of the encoder a few samples ahead, in units of what its observer
+    makes there of the sensor's noise."""
+    model = predictor.model(found.space, found.x)
+    return found.squares[:, 0] / noise_gain(predictor.observers[0], model, in_motion(predictor.data, model))

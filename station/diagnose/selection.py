@@ -18,7 +18,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from station.diagnose.candidates import Candidate, candidates
-from station.diagnose.remainder import ahead_is_noise, remainder
+from station.diagnose.remainder import ahead_is_noise, misses_more_ahead, remainder
 from station.diagnose.screening import Screened, screen
 from station.diagnose.starts import Start, arrived, attempted, far_starts, has_gap, rigid_starts
 from station.diagnose.thresholds import CLOSE, LOG_PRIOR, LOG_PRIOR_PARAMETER, WORTH_A_FIT
@@ -212,11 +212,14 @@ class Selection:
         what holds the rig in its place: where a loop rests, by friction that is not there.  The direct method errs by
         what its model of the disturbances lacks (Forssell and Ljung, Automatica 35, 1999), and a simulation has none.
         Where it shows no more than noise, by the rig alone and by the best set, it says nothing but what each
-        hypothesis's own observer makes of that, and whole runs compare alone.
+        hypothesis's own observer makes of that, and whole runs compare alone: those sets that leave no more there.
         """
         if not self.complete:
             best, alone = self.fits[self.weighed_by], self.fits[frozenset()]
             noise = ahead_is_noise(self.predictor, best, alone)
+            if noise:
+                self.fits = {key: one for key, one in self.fits.items()
+                             if not misses_more_ahead(self.predictor, one, best)}
             self.judging = weighing_of(self.predictor, best, self.predictor.longest if noise else self.predictor.ahead)
             self.found_by = self.weighing if noise else None
             self._weighed.clear()

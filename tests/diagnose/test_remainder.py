@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from station.diagnose.remainder import Remainder, ahead_is_noise, remainder
+from station.diagnose.remainder import Remainder, ahead_is_noise, misses_more_ahead, remainder
 from station.diagnose.thresholds import NOISE
 from station.estimation.constants import unknown
 from station.estimation.fitted import Fit
@@ -64,3 +64,16 @@ def test_ahead_is_noise_only_where_no_cause_takes_something_away(hidden: str, fo
     """What takes all but noise away has that for its evidence: it must not be thrown away with it."""
     predictor, fits = fitted(hidden)
     assert ahead_is_noise(predictor, fits[found], fits["alone"]) is noise
+
+
+@pytest.mark.parametrize("hidden", ["", "input_delay"])
+def test_what_misses_more_ahead_than_noise_makes_is_seen(hidden: str) -> None:
+    predictor, fits = fitted(hidden)
+    assert misses_more_ahead(predictor, fits["alone"], fits["best"]) is bool(hidden)
+    assert not misses_more_ahead(predictor, fits["best"], fits["alone"])
+    assert not misses_more_ahead(predictor, fits["best"], fits["best"])
+    space = fits["alone"].space
+    far = space.mean.copy()
+    far[space.paths.index("motor.gain")] += 3.0
+    stopped = fit(predictor, space, fits["alone"].weighing, far, iterations=0)
+    assert misses_more_ahead(predictor, stopped, fits["alone"])

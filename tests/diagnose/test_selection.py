@@ -324,6 +324,23 @@ def test_where_more_than_noise_is_left_the_horizon_that_shows_it_compares(monkey
     assert search.compared is search.weighing
 
 
+def test_what_misses_more_just_ahead_does_not_win_by_whole_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the quick horizon is left with noise by the rig alone, a set that leaves more there has it against it:
+    whole runs hold few independent errors, and a fit that stopped far away is credited with what one more step might
+    do."""
+    search = searching()
+    search.all_horizons.longest = search.all_horizons.ahead = None
+    for effects in ((), (FRICTION,), (STRIBECK,)):
+        search.keep(found(10.0, *effects))
+    astray = Hypothesis((STRIBECK,)).causes[0]
+    monkeypatch.setattr(selection, "ahead_is_noise", lambda predictor, best, alone: noise)
+    monkeypatch.setattr(selection, "misses_more_ahead", lambda predictor, one, best: astray in one.key)
+    monkeypatch.setattr(selection, "weighing_of", lambda *given: search.weighing)
+    for noise, kept in ((False, 3), (True, 2)):
+        search.judge()
+        assert len(search.fits) == kept and (frozenset({astray}) in search.fits) is not noise
+
+
 def test_a_horizon_that_compares_nothing_still_says_where_the_constants_are(monkeypatch: pytest.MonkeyPatch) -> None:
     """A load of 1.9 times the inertia in the file, and a slow swing that no model knows: whole runs hold so few
     independent errors that by them alone the rig's constants go home, and what they were strained by is forgotten."""
