@@ -138,7 +138,9 @@ class Selection:
     def _differing(self, found: Fit, may: tuple[bool, bool]) -> tuple[Weighing, float, float]:
         """The same where runs may differ in their share of the command, and in a constant."""
         weighing = self.found_by or self.compared
-        own = replace(weighing, differ=found.most_likely_differ(weighing, may))
+        may = (may[0] and weighing.may[0], may[1] and weighing.may[1])
+        weighing = replace(weighing, may=may)
+        own = replace(weighing, differ=found.most_likely_differ(weighing))
         price = found.log_narrowing(own) + (LOG_PRIOR if self.complete else 0.0) if any(may) else np.zeros(2)
         own = replace(self.compared, differ=own.differ)
         return own, found.log_evidence(own, self.found_by), float(price @ may)
@@ -264,6 +266,8 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
             _settle(search, search.best())
         parent = _with_derivatives(search, search.best())
     progress("fitting rivals as far as the best", 0.82)
+    if not all(search.weighing.may):
+        _free(search)
     _finish(search)
     search.judge()
     return search
@@ -439,7 +443,8 @@ def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
     sought = {found.key for found in fits if not complete and has_gap(found.space)} - search.gaps_sought
     search.gaps_sought |= sought
     for found in fits:
-        own, alike = search.own_weighing(found).differ, found.most_likely_differ(weighing, (False, False))
+        own = search.own_weighing(found).differ
+        alike = found.most_likely_differ(replace(weighing, may=(False, False)))
         jobs.append((found, own))
         if complete and alike != own:
             without = found.log_expected(replace(search.compared, differ=alike))
@@ -493,6 +498,15 @@ def fitted(search: Selection, causes: Causes, whole: Causes) -> Fit:
             hypothesis = hypothesis.without(cause)
         _keep_reduced(search, search.fits[whole], [(hypothesis, {})])
     return search.fits.get(causes, search.fits[frozenset()])
+
+
+def _free(search: Selection) -> None:
+    """Let runs differ where they were held alike while causes were sought: each set tells anew by how much."""
+    search.weighing = replace(search.weighing, may=(True, True))
+    search._weighed.clear()
+    best = search.best()
+    search.keep(fit(search.predictor, best.space, search.own_weighing(best), best.x, best.own).light, best)
+    search.weigh(search.best())
 
 
 def _finish(search: Selection) -> None:

@@ -30,28 +30,39 @@ SAME = 4.0
 
 
 def base_fit(predictor: Predictor, begun: Fit | None = None) -> Fit:
-    """The best rig without further causes; ``begun``: its fit ``in_step`` from nominal, where there is one already."""
+    """The best rig without further causes; ``begun``: its fit ``in_step`` from nominal, where there is one already.
+
+    A gain of a run's own can stand in for what acts on all: of a slow run for friction.  Where a run would have one
+    that no supply makes, runs are held alike in it.
+    """
     space = parameters(predictor.data, Hypothesis(), {})
-    return settled(predictor, descended(predictor, space, space.mean, begun))
+    found = settled(predictor, descended(predictor, space, space.mean, begun))
+    if np.any(np.abs(found.own[:, 2]) > differ_ends(predictor.data.rig)[1, 0]):
+        with suppress(*DIVERGED):
+            found = settled(predictor, descended(predictor, space, space.mean, may=(False, True)))
+    return found
 
 
-def descended(predictor: Predictor, space: Parameters, x: np.ndarray, begun: Fit | None = None) -> Fit:
-    """The better of two fits from ``x`` (p), before anything is known of the errors; ``begun`` from there ``in_step``.
+def descended(predictor: Predictor, space: Parameters, x: np.ndarray, begun: Fit | None = None,
+              may: tuple[bool, bool] = (True, True)) -> Fit:
+    """The better of two fits from ``x`` (p), before anything is known of the errors; ``begun`` from there ``in_step``;
+    ``may``: in what runs may differ (``Weighing.may``).
 
     A beam whose frequency is off swings out of step with its model after a few periods, and the objective has a valley
     for every period lost.  So fits are begun twice: on whole runs, and on longer and longer stretches after each run's
     first command, on which nothing is out of step yet.  ArithmeticError: ``x`` does not simulate.
     """
-    found = [fit(predictor, space, unknown(predictor), x, tolerance=ROUGH)]
+    weighing = unknown(predictor, may)
+    found = [fit(predictor, space, weighing, x, tolerance=ROUGH)]
     if predictor.observers:
         with suppress(*DIVERGED):
-            begun = begun or in_step(predictor, space, x)
-            found.append(fit(predictor, space, unknown(predictor), begun.x, begun.own, tolerance=ROUGH))
+            begun = begun or in_step(predictor, space, x, may=may)
+            found.append(fit(predictor, space, weighing, begun.x, begun.own, tolerance=ROUGH))
     return min(found, key=lambda f: f.objective)
 
 
 def in_step(predictor: Predictor, space: Parameters, x: np.ndarray, own: np.ndarray | None = None,
-            beginnings: Sequence[float] = FIRST_SECONDS) -> Fit:
+            beginnings: Sequence[float] = FIRST_SECONDS, may: tuple[bool, bool] = (True, True)) -> Fit:
     """A fit from ``x`` (p) and ``own`` (runs, 4) to longer and longer stretches after each run's first command, s: to
     the longest of them.
 
@@ -61,7 +72,7 @@ def in_step(predictor: Predictor, space: Parameters, x: np.ndarray, own: np.ndar
     for seconds in beginnings:
         part = predictor.on(first_seconds(predictor.data, seconds))
         tolerance = WORTH if seconds == FIRST_SECONDS[-1] else ROUGH
-        found = fit(part, space, unknown(part), x, own, tolerance=tolerance, iterations=12)
+        found = fit(part, space, unknown(part, may), x, own, tolerance=tolerance, iterations=12)
         x, own = found.x, found.own
     return found
 
@@ -86,13 +97,14 @@ def searched(predictor: Predictor, space: Parameters, starts: int, seed: int,
     return best, sum(end.objective < best.objective + SAME for end in ends)
 
 
-def unknown(predictor: Predictor) -> Weighing:
-    """What blocks count for before anything is known of the errors; runs may differ by as much as they ever do.
+def unknown(predictor: Predictor, may: tuple[bool, bool] = (True, True)) -> Weighing:
+    """What blocks count for before anything is known of the errors; runs may differ by as much as they ever do, in what
+    they ``may``.
 
     By how much they do is read off what a fit gives each run: off one that gives them nothing, nothing can be.
     """
-    share, constant = differ_ends(predictor.data.rig)[1].tolist()
-    return Weighing(PRIOR_SHARE * predictor.counts, 1.0, (share, constant))
+    share, constant = np.where(may, *differ_ends(predictor.data.rig)[::-1]).tolist()
+    return Weighing(PRIOR_SHARE * predictor.counts, 1.0, (share, constant), may)
 
 
 def settled(predictor: Predictor, found: Fit) -> Fit:
@@ -108,7 +120,7 @@ def settled(predictor: Predictor, found: Fit) -> Fit:
 
 def told_again(predictor: Predictor, found: Fit) -> Fit:
     """A fit as other observers tell it, where it ended."""
-    weighing = replace(unknown(predictor), differ=found.weighing.differ)
+    weighing = replace(unknown(predictor, found.weighing.may), differ=found.weighing.differ)
     return fit(predictor, found.space, weighing, found.x, found.own, iterations=0).light
 
 

@@ -230,9 +230,8 @@ class Fit(Point):
         return Differing(self.space.rig, whole[np.ix_(sought, sought)] - across @ taken[:, :-1],
                          force[sought] - across @ taken[:, -1], self.away[:, -2:].ravel())
 
-    def most_likely_differ(self, weighing: Weighing, may: tuple[bool, bool] = (True, True)) -> tuple[float, float]:
-        """How much runs differ in what the motor does more than the rig says (``Weighing.differ``); in what they may
-        not, they are held alike.
+    def most_likely_differ(self, weighing: Weighing) -> tuple[float, float]:
+        """How much runs differ in what the motor does more than the rig says (``Weighing.differ``), where they may.
 
         Empirical Bayes (Gelman et al., section 13.6), about the fit: of highest marginal likelihood, parameters and
         what runs have of their own integrated out.  It has more than one mode: where all runs of a fit have moved the
@@ -240,7 +239,7 @@ class Fit(Point):
         """
         if self.alone:
             return 0.0, 0.0
-        least, largest = differ_ends(self.space.rig)
+        (least, largest), may = differ_ends(self.space.rig), weighing.may
         if not any(may):
             return float(least[0]), float(least[1])
         differing = self._differing(weighing)
@@ -318,9 +317,10 @@ def weighing_of(predictor: Predictor, found: Fit, counted: np.ndarray | None = N
     """What the blocks count for where a fit's errors are taken for what a model of this rig leaves; ``counted`` (b):
     those that do, all by default."""
     independent = predictor.independent(found.squares, found.residuals)
-    cold = Weighing(independent if counted is None else independent * counted, 1.0, found.weighing.differ)
+    cold = replace(found.weighing, independent=independent if counted is None else independent * counted,
+                   temperature=1.0)
     kinds, whole = temperatures(*_projected(found, cold), found.space.precision)
-    warm = Weighing(cold.independent / kinds, whole, cold.differ)
+    warm = replace(cold, independent=cold.independent / kinds, temperature=whole)
     return replace(warm, differ=found.most_likely_differ(warm))
 
 

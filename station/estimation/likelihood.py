@@ -75,6 +75,8 @@ class Weighing:
     differ: tuple[float, float] = (0.0, 0.0)
     """Standard deviations, from run to run, of what the motor does more than the rig says: a share of the command, and
     a constant (counts of command)."""
+    may: tuple[bool, bool] = (True, True)
+    """Whether runs may differ in either; in what they may not, they are held alike."""
 
 
 def rho(ratio: np.ndarray) -> np.ndarray:

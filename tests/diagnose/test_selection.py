@@ -47,7 +47,7 @@ def found(evidence: float, *effects: tuple, constants: tuple[str, ...] = (), nar
                  log_evidence=lambda weighing, found_by: evidence - np.dot(lost, np.equal(weighing.differ, 0.0)),
                  log_evidences=lambda weighing, sizes, drawn, found_by: (
                      evidence - np.dot(lost, np.equal(sizes, 0.0)) - drawn),
-                 most_likely_differ=lambda weighing, may: tuple(map(float, may)),
+                 most_likely_differ=lambda weighing: tuple(map(float, weighing.may)),
                  log_narrowing=lambda weighing: np.array([narrowed, 0.0]))
     made.light = made
     return made

@@ -132,7 +132,7 @@ def test_sizes_are_those_of_the_highest_of_two_modes(share: float, sigma: float)
 
 def test_what_a_fit_to_runs_held_alike_comes_to_is_foreseen(varied: Fit) -> None:
     """By linear predictions and the likelihood's own cost; the quadratic alone is off by as much as is lost."""
-    alike = replace(varied.weighing, differ=varied.most_likely_differ(varied.weighing, (False, False)))
+    alike = replace(varied.weighing, differ=varied.most_likely_differ(replace(varied.weighing, may=(False, False))))
     ended = fit(predicting(OFFSETS, SHARES), varied.space, alike, varied.x)
     lost = varied.log_evidence(varied.weighing) - ended.log_evidence(alike)
     assert lost > 50.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from station.estimation.constants import PRIOR_SHARE, base_fit, cooled, searched, settled, unknown
@@ -15,8 +16,9 @@ from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
 from station.estimation.pool import Pool
 from station.estimation.prediction import Predictor
+from station.model.effects import effect_class
 from station.rig import load_rig
-from tests.estimation.made import AXIS, runs_of
+from tests.estimation.made import AXIS, predictions, run_of, runs_of
 from tests.truth import make_case
 
 
@@ -44,6 +46,31 @@ def test_starts_from_the_prior_end_in_one_minimum_and_say_so(predictor: Predicto
     ratio = found.space.rig_at(found.x).motor
     assert ratio.gain / ratio.damping == pytest.approx(AXIS.motor.gain / (1.1 * AXIS.motor.damping), rel=2e-3)
     assert found.space.rig_at(found.x).motor.inertia == AXIS.motor.inertia
+
+
+def test_no_run_has_a_gain_that_no_supply_makes() -> None:
+    """One of its own stands in for the friction of a slow run as well as friction does; where it would have to be too
+    large all runs are held alike, and friction is left to be found.  A supply that differs keeps what it has."""
+    rubbing = AXIS.with_effects([effect_class("coulomb_friction")(at="motor", torque=10.0 * AXIS.motor.gain)])
+    runs = [run_of(rubbing, size, loop, f"{size:g}", 3.0) for size, loop in (
+        (20.0, "p1"), (-30.0, "p2"), (300.0, "p2"), (200.0, "p2"))]
+    found = base_fit(predictions(AXIS, runs))
+    assert found.weighing.may == (False, True) and np.abs(found.own[:, 2]).max() < 1e-3
+    supplies = (0.14, -0.12, 0.1, -0.15)
+    runs = [run_of(AXIS.with_constants({"motor.gain": AXIS.motor.gain * (1.0 + share)}), size, "p2", f"{size:g}")
+            for share, size in zip(supplies, (60.0, -90.0, 120.0, 40.0), strict=True)]
+    found = base_fit(predictions(AXIS, runs))
+    assert found.weighing.may == (True, True)
+    np.testing.assert_allclose(found.own[:, 2] - found.own[:, 2].mean(), supplies - np.mean(supplies), atol=0.02)
+
+
+def test_fits_of_runs_held_alike_say_so_under_every_weighing(predictor: Predictor) -> None:
+    space = parameters(predictor.data, Hypothesis(), {})
+    alike = unknown(predictor, (False, True))
+    free = unknown(predictor)
+    assert alike.differ[0] < 1e-3 < free.differ[0] and alike.differ[1] == free.differ[1]
+    found = settled(predictor, fit(predictor, space, alike, space.mean))
+    assert found.weighing.may == (False, True) and found.weighing.differ[0] < 1e-3
 
 
 @pytest.mark.long
