@@ -259,6 +259,20 @@ def test_a_headline_is_no_surer_than_the_odds(probable: tuple[float, float], wor
     assert words in wording.verdict_sentence(told, found.rig)
 
 
+@pytest.mark.parametrize(("share", "outside", "words"), [
+    (0.175, 0.09, "but a torque of 18 % of the command's is still missing."), (0.004, 0.09, "more than noise remains."),
+    (0.175, 0.0, "more than noise remains.")])
+def test_a_headline_says_how_much_torque_the_causes_leave(share: float, outside: float, words: str) -> None:
+    left = Disturbance(nominal=0.4, refitted=0.3, extended=share)
+    found = made.result("partly_explained")
+    told = found.diagnosis.model_copy(update={"disturbance": left, "outside": outside})
+    assert wording.verdict_sentence(told, found.rig).endswith(words)
+    found = made.result("ambiguous")
+    told = found.diagnosis.model_copy(update={"disturbance": left, "outside": outside})
+    said = wording.verdict_sentence(told, found.rig)
+    assert said.endswith("Whichever it is, a torque of 18 % of the command's is still missing.") is ("18" in words)
+
+
 @pytest.mark.parametrize("disturbance", [None, Disturbance(nominal=0.6, refitted=0.5, extended=0.5)])
 def test_what_runs_left_out_speak_against_is_told_as_that(disturbance: Disturbance | None) -> None:
     found, note = made.result("unexplained"), NOT_NAMED["left_out"]

@@ -10,6 +10,7 @@ from station.diagnose.thresholds import LIKELY, STABLE, SURE
 from station.estimation.cause import constant_path, is_constant
 from station.view.wording.names import LATENCY, cause_title, constant_title, joined
 from station.view.wording.numbers import number, percent, unit_of
+from station.view.wording.remains import leaves_noise
 from station.view.wording.runs import differing
 
 if TYPE_CHECKING:
@@ -29,11 +30,12 @@ def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
         closer = ("it comes closer on the whole, but" if fraction is None or fraction > 0.0 else
                   "its predictions come closer, whole runs do not, and")
         ends = {"explained": "only noise and the rig's stated uncertainty remain",
-                "partly_explained": f"{closer} more than noise remains"}
+                "partly_explained": f"{closer} {_missing(diagnosis) or 'more than noise remains'}"}
         accused = _hedged(causes, diagnosis.outside, rig)
         return f"The simulation {accused}; with that put right, {ends[diagnosis.verdict]}."
     if diagnosis.verdict == "ambiguous" and causes:
-        return _ambiguous(diagnosis, rig)
+        missing = _missing(diagnosis)
+        return f"{_ambiguous(diagnosis, rig)} Whichever it is, {missing}." if missing else _ambiguous(diagnosis, rig)
     if diagnosis.verdict == "unexplained" and diagnosis.disturbance is not None:
         return _unexplained(diagnosis.disturbance.refitted, differing(diagnosis), _none_named(diagnosis))
     return {"unexplained": f"The simulation gets something wrong, and {_none_named(diagnosis)}.",
@@ -41,6 +43,14 @@ def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
                                "the rig's stated uncertainty.",
             "not_enough_data": "These runs are not enough: most effects would not have shown in them.",
             }.get(diagnosis.verdict, "The simulation gets something wrong that these runs do not settle.")
+
+
+def _missing(diagnosis: Diagnosis) -> str:
+    """What torque the causes leave, as a clause; empty where that is little, or only noise is left."""
+    found = diagnosis.disturbance
+    if leaves_noise(diagnosis) or found is None or found.extended < SMALL:
+        return ""
+    return f"a torque of {percent(found.extended)} of the command's is still missing"
 
 
 def _hedged(causes: Sequence[Cause], outside: float, rig: Rig) -> str:
