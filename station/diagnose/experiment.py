@@ -121,7 +121,7 @@ def _sigma(search: Selection) -> np.ndarray:
 def _choice(found: Worth | None, planner: Planner) -> Choice:
     if found is None:
         none = NextExperiment(test=None, why="no test of this station keeps this rig within "
-                                             f"{planner.reach:.0f} counts of where it begins")
+                                             f"{planner.reach:.0f} counts of where it begins, no faster than it may go")
         return Choice(none, plan=none)
     asked = NextExperiment(test=found.trial.complete(), why=found.why)
     return Choice(asked, found.prediction, asked, found.shown)

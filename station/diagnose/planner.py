@@ -28,6 +28,8 @@ TRAVEL = 0.5
 """Of a turn: as far as a test may move the arm."""
 FURTHER = 2.0
 """Times as far as any run went: as far as the next one may, where the rig file does not say how far the rig can go."""
+SPEED_OVER = 0.016
+"""Seconds over which a speed is told: eight ticks at 500 Hz, as the board's guard tells it."""
 LITTLE = 0.05
 """Of a turn: as far as a test may go whatever the runs did."""
 SLACK = 0.1
@@ -96,6 +98,21 @@ class Planner:
         went = max(float(np.max(np.abs(run.encoder - run.encoder[0]))) for run in self.runs)
         return max(went, min(TRAVEL * turn, max(FURTHER * went, LITTLE * turn)))
 
+    @cached_property
+    def pace(self) -> float:
+        """As fast as a test may take the arm, counts in SPEED_OVER: ``limits.speed``, at which the device
+        stops it."""
+        limits = self.rig.limits
+        if limits is None or limits.speed is None:
+            return np.inf
+        return limits.speed * SPEED_OVER / self.rig.angle_per_count
+
+    def fastest(self, encoder: np.ndarray) -> float:
+        """Counts by which it moves at most in the rows of ``SPEED_OVER``; ``encoder`` (n)."""
+        rows = max(round(SPEED_OVER * self.rig.sample_rate), 1)
+        return float(np.max(np.abs(encoder[rows:] - encoder[:-rows]), initial=0.0)) / rows * (
+            SPEED_OVER * self.rig.sample_rate)
+
     def simulated(self, model: Model, run: Run, rounding: bool | Literal["inside"] = False,
                   aside: float = 0.0) -> Simulation:
         """A run's test from where it began, or so many counts beside it."""
@@ -135,12 +152,15 @@ class Planner:
         return np.sqrt(share / variance[:, None])
 
     def behaves(self, trial: Trial, forecast: Forecast, share: float = 1.0) -> bool:
-        """Whether a laboratory would run it: finite, within that share of the reach, and a closed loop follows."""
+        """Whether a laboratory would run it: finite, within that share of the reach and the pace, and a closed loop
+        follows."""
         if not (np.all(np.isfinite(forecast.mean)) and np.all(np.isfinite(forecast.spread))):
             return False
         farthest = np.max(np.abs(forecast.mean[0]))
         slack, calm = np.array([BEYOND_STEP, CALM]) / self.rig.angle_per_count
         if farthest > share * self.reach or trial.closed and farthest > FOLLOWS * trial.amplitude + slack:
+            return False
+        if self.fastest(forecast.mean[0]) > share * self.pace:
             return False
         if trial.test["kind"] == "step":
             end = forecast.mean[0, -round(LAST * self.rig.sample_rate):]

@@ -13,7 +13,7 @@ from station.control.references import reference_from_test
 from station.diagnose import diagnose as module
 from station.diagnose.experiment import _telling, choose, first_test
 from station.diagnose.forecasts import Belief, absorbed
-from station.diagnose.planner import Planner, Worth
+from station.diagnose.planner import SPEED_OVER, Planner, Worth
 from station.diagnose.result import Prediction
 from station.diagnose.separating import between
 from station.diagnose.showing import showing, told, visible
@@ -232,6 +232,20 @@ def test_a_test_that_would_throw_the_rig_about_is_not_chosen(planner):
         [True, False]
     far = Trial({"kind": "pulse", "amplitude": 200.0, "width": 1.0}, OPEN)
     assert not planner.behaves(far, planner.forecasts(belief, [far.as_run(SFLR)])[0])
+
+
+def test_no_test_goes_faster_than_the_rig_file_lets_it(planner):
+    """The device stops a test at ``limits.speed``."""
+    stated, rows = SFLR.model_copy(update={"limits": Limits(speed=2.0)}), round(SPEED_OVER * SFLR.sample_rate)
+    pace = Planner(stated, planner.sigma, planner.pool).pace
+    assert planner.pace == np.inf and pace == pytest.approx(2.0 * SPEED_OVER / SFLR.angle_per_count)
+    fastest = []
+    for rig in (stated, SFLR):
+        test = first_test(rig).next.test
+        trial = Trial({k: v for k, v in test.items() if k != "controller"}, test["controller"])
+        made = simulate_model(build(rig.meshed()), trial.as_run(rig)).encoder
+        fastest.append(np.max(np.abs(made[rows:] - made[:-rows])))
+    assert 0.0 < fastest[0] <= pace + 1.0 < fastest[1]
 
 
 def test_no_test_goes_beyond_what_the_rig_file_or_the_runs_say_a_rig_can_go(planner):
