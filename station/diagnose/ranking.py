@@ -9,12 +9,14 @@ import numpy as np
 from station.diagnose.finding import Finding
 from station.diagnose.odds import Odds, may_be_accused
 from station.diagnose.result import CHANNELS, NOT_NAMED, Ranked, RankedCause, Reason
+from station.diagnose.screening import BIAS
 from station.diagnose.selection import Selection, log_prior
-from station.diagnose.thresholds import AS_GOOD, BETTER, LIKELY, NOISE
+from station.diagnose.thresholds import AS_GOOD, BETTER, LIKELY, NOISE, VARIES
 from station.diagnose.unseen import Unseen
 from station.diagnose.validation import standard_error, unseen_gain
 from station.estimation.cause import Causes, Key, in_words, is_constant
 from station.estimation.identifiability import NORMAL
+from station.estimation.spread import shared
 from station.rig import Rig
 
 
@@ -120,6 +122,10 @@ def notes(rig: Rig, search: Selection, finding: Finding, unseen: Unseen) -> list
         found.append("in the best set but not stated, for too few resamples name them: "
                      + ", ".join(f"{in_words(key)} ({spoken.stability.get(key, 0.0):.2f})" for key in unstable))
     fit = finding.fit
+    constants = fit.own[:, 3]
+    if not fit.alone and BIAS not in said.causes and VARIES < shared(constants) < np.inf:
+        found.append(f"all runs share a constant of {constants.mean():.3g} counts of command ({constants.min():.3g} to "
+                     f"{constants.max():.3g}), as a command bias does, and none is stated")
     if fit.space.back_emf:
         sigma = np.sqrt(np.diag(fit.covariance))
         low, share, high = (100.0 * fit.space.back_emf_share(fit.x + z * sigma) for z in (-NORMAL, 0.0, NORMAL))

@@ -11,13 +11,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from station.diagnose import finding
 from station.diagnose.diagnose import diagnose
 from station.diagnose.estimates import common_gain, estimates, rig_of
 from station.diagnose.result import Diagnosis
+from station.diagnose.verdict import Stated
 from station.model.effects import effect_class
 from station.rig import Rig
 from station.view import wording
-from tests.estimation.made import AXIS
+from tests.estimation.made import AXIS, run_of
 from tests.estimation.test_between_runs import fitted
 from tests.truth import RIGID_AXIS, make_case
 from tests.truth.cases import Case, simulate_case
@@ -105,3 +107,14 @@ def test_what_the_motor_does_more_in_all_runs_alike_is_the_rigs(shares: list[flo
     assert estimates(found, found, [])[1]["motor.gain"].value == pytest.approx(gain)
     exact = certain.model_copy(update={"uncertainty": {"default": 0.001, "motor.gain": 0.0}})
     assert common_gain(fitted(np.zeros(6), shares, rig=exact, begun=(0.3, 0.0))) == 1.0
+
+
+@pytest.mark.parametrize(("offset", "told"), [(4.0, True), (0.0, False)])
+def test_a_constant_that_all_runs_share_is_told_where_no_bias_is_stated(monkeypatch: pytest.MonkeyPatch, offset: float,
+                                                                        told: bool) -> None:
+    monkeypatch.setattr(finding, "stated", lambda *given: Stated(frozenset()))
+    biased = AXIS.with_effects([effect_class("command_bias")(at="amplifier", offset=offset)] if offset else [])
+    runs = [run_of(biased, size, "p2", f"{size:g}") for size in (90.0, -60.0, 120.0)]
+    notes = [note for note in diagnose(AXIS, runs, effort="quick").notes if "all runs share a constant" in note]
+    assert len(notes) == told
+    assert not told or float(notes[0].split("constant of ")[1].split()[0]) == pytest.approx(offset, abs=0.3)
