@@ -32,12 +32,13 @@ SAME = 4.0
 def base_fit(predictor: Predictor, begun: Fit | None = None) -> Fit:
     """The best rig without further causes; ``begun``: its fit ``in_step`` from nominal, where there is one already.
 
-    A gain of a run's own can stand in for what acts on all: of a slow run for friction.  Where a run would have one
-    that no supply makes, runs are held alike in it.
+    A gain of a run's own can stand in for what acts on all: of a slow run for friction.  Where one would differ from
+    the others' by more than a supply makes, runs are held alike in it.
     """
     space = parameters(predictor.data, Hypothesis(), {})
     found = settled(predictor, descended(predictor, space, space.mean, begun))
-    if np.any(np.abs(found.own[:, 2]) > differ_ends(predictor.data.rig)[1, 0]):
+    shares = found.own[:, 2]
+    if np.any(np.abs(shares - shares.mean()) > differ_ends(predictor.data.rig)[1, 0]):
         with suppress(*DIVERGED):
             found = settled(predictor, descended(predictor, space, space.mean, may=(False, True)))
     return found

@@ -9,14 +9,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from station.diagnose.estimates import estimates, may_be_none
 from station.diagnose.odds import (
     RESAMPLES,
     Draws,
     Odds,
     by_law,
-    estimates,
     in_order,
-    may_be_none,
     normalised,
     odds,
     possible,

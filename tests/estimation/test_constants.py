@@ -51,9 +51,9 @@ def test_starts_from_the_prior_end_in_one_minimum_and_say_so(predictor: Predicto
 def test_no_run_has_a_gain_that_no_supply_makes() -> None:
     """One of its own stands in for the friction of a slow run as well as friction does; where it would have to be too
     large all runs are held alike, and friction is left to be found.  A supply that differs keeps what it has."""
-    rubbing = AXIS.with_effects([effect_class("coulomb_friction")(at="motor", torque=10.0 * AXIS.motor.gain)])
+    rubbing = AXIS.with_effects([effect_class("coulomb_friction")(at="motor", torque=15.0 * AXIS.motor.gain)])
     runs = [run_of(rubbing, size, loop, f"{size:g}", 3.0) for size, loop in (
-        (20.0, "p1"), (-30.0, "p2"), (300.0, "p2"), (200.0, "p2"))]
+        (15.0, "p2"), (300.0, "p2"), (200.0, "p2"), (-250.0, "p1"))]
     found = base_fit(predictions(AXIS, runs))
     assert found.weighing.may == (False, True) and np.abs(found.own[:, 2]).max() < 1e-3
     supplies = (0.14, -0.12, 0.1, -0.15)
