@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from station.diagnose.thresholds import SURE
 from station.view.wording.names import cause_title, place
 from station.view.wording.numbers import probability
 
 if TYPE_CHECKING:
     from station.diagnose.result import Cause
+
+
+def as_good_as_certain(outside: float) -> float:
+    """The probability from which on a thing is told without a hedge; ``outside``: what is kept for none that is known.
+    """
+    return SURE * (1.0 - outside)
 
 
 def rest_sentence(cause: Cause, outside: float) -> str:

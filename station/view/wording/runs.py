@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from station.diagnose.thresholds import LIKELY, SURE
+from station.diagnose.thresholds import LIKELY
 from station.view.wording.numbers import number, percent, probability, resamples
+from station.view.wording.odds import as_good_as_certain
 
 if TYPE_CHECKING:
     from station.diagnose.result import Diagnosis, RunComparison
@@ -19,7 +20,7 @@ def differing(diagnosis: Diagnosis) -> str:
     if most <= LIKELY:
         return ""
     where = "from one half of the run to the other" if len(diagnosis.runs) == 1 else "from run to run"
-    hedge = "" if most >= SURE * (1.0 - diagnosis.outside) else "probably "
+    hedge = "" if most >= as_good_as_certain(diagnosis.outside) else "probably "
     return f"{where} the motor {hedge}does more or less by itself"
 
 

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from station.diagnose.result import NOT_NAMED
-from station.diagnose.thresholds import LIKELY, STABLE, SURE
+from station.diagnose.thresholds import LIKELY, STABLE
 from station.estimation.cause import constant_path, is_constant
 from station.view.wording.names import LATENCY, cause_title, constant_title, joined
 from station.view.wording.numbers import number, percent, unit_of
+from station.view.wording.odds import as_good_as_certain
 from station.view.wording.remains import leaves_noise
 from station.view.wording.runs import differing
 
@@ -34,8 +35,8 @@ def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
         accused = _hedged(causes, diagnosis.outside, rig)
         return f"The simulation {accused}; with that put right, {ends[diagnosis.verdict]}."
     if diagnosis.verdict == "ambiguous" and causes:
-        missing = _missing(diagnosis)
-        return f"{_ambiguous(diagnosis, rig)} Whichever it is, {missing}." if missing else _ambiguous(diagnosis, rig)
+        said, missing = _ambiguous(diagnosis, rig), _missing(diagnosis)
+        return f"{said} Whichever it is, {missing}." if missing else said
     if diagnosis.verdict == "unexplained" and diagnosis.disturbance is not None:
         return _unexplained(diagnosis.disturbance.refitted, differing(diagnosis), _none_named(diagnosis))
     return {"unexplained": f"The simulation gets something wrong, and {_none_named(diagnosis)}.",
@@ -55,7 +56,7 @@ def _missing(diagnosis: Diagnosis) -> str:
 
 def _hedged(causes: Sequence[Cause], outside: float, rig: Rig) -> str:
     """What is as good as certain, then what is only likely."""
-    sure = [c for c in causes if c.probability >= SURE * (1.0 - outside)]
+    sure = [c for c in causes if c.probability >= as_good_as_certain(outside)]
     likely = [c for c in causes if c not in sure and c.probability > LIKELY]
     rest = [c for c in causes if c not in sure and c not in likely]
     words = (("", sure), ("probably ", likely), ("perhaps ", rest))
@@ -102,7 +103,7 @@ def _unexplained(missing: float, differ: str, none_named: str) -> str:
 
 def _ambiguous(diagnosis: Diagnosis, rig: Rig) -> str:
     """What is certain, then what is undecided between which."""
-    causes, sure = diagnosis.causes, SURE * (1.0 - diagnosis.outside)
+    causes, sure = diagnosis.causes, as_good_as_certain(diagnosis.outside)
     undecided = [c for c in causes if c.stability < STABLE or c.probability < sure]
     late = any(c.effect == LATENCY for c in causes)
     if not undecided and not late:
