@@ -502,7 +502,11 @@ def fitted(search: Selection, causes: Causes, whole: Causes) -> Fit:
 
 def _free(search: Selection) -> None:
     """Let runs differ where they were held alike while causes were sought: each set tells anew by how much."""
-    search.weighing = replace(search.weighing, may=(True, True))
+    def freed(weighing: Weighing) -> Weighing:
+        return replace(weighing, may=(True, True))
+
+    search.weighing = freed(search.weighing)
+    search.fits = {key: replace(one, weighing=freed(one.weighing)) for key, one in search.fits.items()}
     search._weighed.clear()
     best = search.best()
     search.keep(fit(search.predictor, best.space, search.own_weighing(best), best.x, best.own).light, best)
