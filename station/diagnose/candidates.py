@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from station.estimation.parameters import Hypothesis, Parameters, held_within, p
 from station.model.effects import USUAL_SPEED, Effect, Stage, catalogue
 from station.rig import PROFILE, Rig
 
+INPUT, ENCODER = ("input_delay", "amplifier"), ("encoder_delay", "encoder")
+ACCEL = ("accelerometer_delay", "accelerometer")
 OF_A_GAP, PER_START, MOST_STARTS = 3, 5, 4
 """Guesses from which fits of a gap begin; of other effects one more for so many guesses, up to so many."""
 
@@ -26,6 +29,8 @@ class Candidate:
     at: str
     constant: str | None = None
     guesses: tuple[dict[str, float], ...] = ()
+    by_torque: bool = False
+    """Whether the guesses are read off the torque that is missing."""
 
     @property
     def key(self) -> Key:
@@ -62,6 +67,13 @@ class Candidate:
         """This cause alone."""
         return Hypothesis((), (self.constant,)) if self.effect is None else Hypothesis(((self.effect, self.at),))
 
+    def repeating(self, waves: Sequence[float]) -> Candidate:
+        """The same, guessed to repeat itself so often per turn, as far as its law may."""
+        name = self.effect.waves
+        known, guess = self.effect.parameters()[name], self.guesses[0]
+        return replace(self, by_torque=True,
+                       guesses=tuple(guess | {name: n} for n in waves if known.low <= n <= known.high))
+
     def sized(self, guess: dict[str, float], factor: float) -> dict[str, float]:
         """A guess so many times as large; a constant has none."""
         return guess if self.effect is None else self.effect.sized(guess, factor)
@@ -93,3 +105,9 @@ def candidates(rig: Rig, speed: float = USUAL_SPEED) -> list[Candidate]:
     names = [effect.name for effect in rig.effects]
     stated = [one.path for one in held_within(rig) if names.count(rig.effects[one.effect].name) == 1]
     return found + [Candidate(None, "", path) for path in [*(p for p in paths if p not in PROFILE | exact), *stated]]
+
+
+def one_too_many(rig: Rig, causes: Collection[Key]) -> bool:
+    """Whether a set holds a delay more than its signals show: of one before the motor and one behind each sensor only
+    the sums show (``docs/equivalences.md``), so that one can always be traded away."""
+    return {INPUT, ENCODER, ACCEL} - ({ACCEL} if rig.accelerometer is None else set()) <= set(causes)

@@ -8,10 +8,10 @@ from dataclasses import replace
 from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from station.diagnose import PREPARE
+from station.diagnose.disturbance import disturbance
 from station.diagnose.equivalences import Setting, completed, exact_sizes, rivals, standing, with_word
 from station.diagnose.estimates import estimates, rig_of, with_sizes
 from station.diagnose.experiment import choose
@@ -24,7 +24,6 @@ from station.diagnose.result import (
     Choice,
     Diagnosis,
     DiagnosisResult,
-    Disturbance,
     RunComparison,
     RunFile,
     Verdict,
@@ -39,12 +38,11 @@ from station.errors import UsageError, WorkError
 from station.estimation.answers import answers, refuse_wrong_signs_and_units, unlikely
 from station.estimation.cause import Key, is_constant
 from station.estimation.dataset import by_content, dataset
-from station.estimation.fitted import Fit
 from station.estimation.least_squares import CANNOT_SIMULATE, DIVERGED
 from station.estimation.loaded import load_compiled as load_compiled  # what PREPARE names
-from station.estimation.observer import observers, torque_gains
+from station.estimation.observer import observers
 from station.estimation.pool import SIZE, Pool
-from station.estimation.prediction import Predictor, built, in_motion, predict_run
+from station.estimation.prediction import Predictor
 from station.model.effects import effect_class
 from station.rig import Rig
 from station.runs.run import Run
@@ -122,7 +120,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
         gain=gain(data, comparisons, judged.ahead),
         next_experiment=with_word(None if decided else choice().next, decision, told, said.causes, known),
         outside=finding.outside,
-        disturbance=_disturbance(predictor, [nominal(data, nothing), nothing, shown]),
+        disturbance=disturbance(predictor, [nominal(data, nothing), nothing, shown]),
         between_runs=between_runs(search, finding), rig=rig.name, effort=effort,
         runs=[RunFile(run=run.name) for run in given],
         ranking=[in_file(row) for row in ranked])
@@ -174,29 +172,3 @@ def _usable(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[slice], list
     half = len(runs[0].t) // 2
     return ([replace(runs[0], name=f"{runs[0].name} ({part} half)") for part in ("first", "second")],
             [slice(0, half), slice(half, None)], amiss)
-
-
-def _disturbance(predictor: Predictor, fits: Sequence[Fit]) -> Disturbance:
-    """The torque at the motor that is missing with each fit, and with what it says that runs have of their own, in the
-    rows that count: a share of the command's rms torque.
-
-    It is what the quickest observer makes of it over the share of a torque that it shows, less what the encoder's noise
-    makes of it.  That observer itself finds the state of a run that begins in motion: taken over from a slower one of
-    a rig that is wrong, a speed that is off would be a blow.
-    """
-    given, quickest = predictor.data, predictor.observers[:1]
-    data = replace(given, records=tuple(replace(one, finding=np.zeros_like(one.finding)) for one in given.records))
-
-    def share(one: Fit) -> float:
-        space, x = one.space, one.x
-        model, missing, command = built(space.rig_at(x)), 0.0, 0.0
-        shown, noise = torque_gains(quickest[0], model, in_motion(data, model))
-        for r, (run, record) in enumerate(zip(data.runs, data.records, strict=True)):
-            torque = predict_run(data, model, quickest, r, one.own[r], zero=space.zero(x, record.zero_group),
-                                 place=space.place(x, r))[1][0]
-            torque, given = torque[record.window], run.command[record.window]
-            missing += float(torque @ torque) - noise * float(data.sigma[0] ** 2) * len(torque)
-            command += float(given @ given)
-        return float(np.sqrt(max(missing, 0.0) / max(command, 1e-300)) / shown)
-    shares = predictor.pool.map(share, [one.light for one in fits])
-    return Disturbance(**dict(zip(Disturbance.model_fields, shares, strict=True)))

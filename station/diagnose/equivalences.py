@@ -33,7 +33,7 @@ import numpy as np
 import scipy.linalg
 from pydantic import ValidationError
 
-from station.diagnose.candidates import candidates
+from station.diagnose.candidates import ACCEL, ENCODER, INPUT, candidates
 from station.diagnose.odds import Odds, normalised
 from station.diagnose.result import NextExperiment, Rival, Verdict
 from station.diagnose.thresholds import BELIEVABLE, LISTED, LOG_PRIOR, LOG_PRIOR_PARAMETER, SURE
@@ -45,8 +45,7 @@ from station.rig import Rig
 
 LONGEST_LIST = 5
 """Rivals listed without an equivalence, at most."""
-INPUT, ENCODER = ("input_delay", "amplifier"), ("encoder_delay", "encoder")
-ACCEL, CLOCK = ("accelerometer_delay", "accelerometer"), ("clock_scale", "clock")
+CLOCK = ("clock_scale", "clock")
 TILT, RIPPLE = ("gravity_tilt", "base"), ("torque_ripple", "motor")
 GAIN = constant("motor.gain")
 

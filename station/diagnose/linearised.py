@@ -106,6 +106,12 @@ class Linearised:
         """By what the parent leaves."""
         return _Weighed(self, self.parent.blocks(self.parent.weighing))
 
+    @cached_property
+    def ahead(self) -> _Weighed:
+        """By what the parent leaves a few samples ahead alone, where that counts."""
+        short = ~self.predictor.longest
+        return _Weighed(self, self.weighed.weights * short) if short.any() else self.weighed
+
     def beyond(self, change: Change) -> tuple[float, float, float] | None:
         """What -2 ln L falls by before the change's size is chosen, G and b, weighed by what the change would leave.
 

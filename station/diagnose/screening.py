@@ -4,6 +4,9 @@ A cause of a guessed size changes the predictions; what that and multiples of it
 moved with it, is read off the parent's quadratic (``linearised``).  With one of the parent's own effects taken out, and
 what that changes taken from the errors, the same says which could stand in its place.
 
+Where a law stands in a wave of the angle, a whole run that is out of place by half a wave shows nothing of it.  What
+the torque that is missing proposes is judged a few samples ahead alone (``Linearised.ahead``).
+
 What a law a sin(x + phi) changes is, to first order, that of two phases a quarter of a turn apart, cos(phi) of one and
 sin(phi) of the other: both sizes together say amplitude and phase.
 """
@@ -108,7 +111,7 @@ def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
             return _Row(Screened(candidate, guesses[0], 0.0, 1.0, 0.0), guesses[0], ())
         if len(changes) == 1:
             return _Row(_expected(known, candidate, guesses[0], changes[0]), guesses[0], changes, factor)
-        gram, slope = known.weighed.products(list(changes))
+        gram, slope = (known.ahead if candidate.by_torque else known.weighed).products(list(changes))
         sizes = _direction(gram, slope)
         said = _expected(known, candidate, turned(candidate, guesses[0], sizes), Change.combined(changes, sizes))
         # An effect shows if it does in any phase.
@@ -153,7 +156,11 @@ def _shared(parent: Fit, pool: Sequence[Candidate]) -> list[Screened]:
 
 
 def _expected(known: Linearised, candidate: Candidate, guess: dict[str, float], change: Change) -> Screened:
-    """What a change is expected to gain: the most of two quadratics that give no more than the likelihood."""
+    """What a change is expected to gain: the most of two quadratics that give no more than the likelihood; of what the
+    missing torque proposes, a few samples ahead."""
+    if candidate.by_torque:
+        gram, slope = known.ahead.products([change])
+        return _screened(candidate, guess, float(gram[0, 0]), float(slope[0]))
     gram, slope = known.weighed.products([change])
     found = _screened(candidate, guess, float(gram[0, 0]), float(slope[0]))
     beyond = known.beyond(change)

@@ -17,7 +17,8 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from station.diagnose.candidates import Candidate, candidates
+from station.diagnose.candidates import Candidate, candidates, one_too_many
+from station.diagnose.disturbance import waves
 from station.diagnose.remainder import ahead_is_noise, misses_more_ahead, remainder
 from station.diagnose.screening import Screened, screen
 from station.diagnose.starts import Start, arrived, attempted, far_starts, has_gap, rigid_starts
@@ -33,6 +34,8 @@ from station.model.effects import Stage, effect_class
 
 QUICK_STEPS = 8
 """Steps of the fits by which further causes are tried, with derivatives of the parent."""
+WAVES = 3
+"""Peaks of the missing torque's spectrum over the angle that are tried as a ripple's waves per turn."""
 RUNGS = 3
 """Causes in a set from which on nothing is added to it; a pair on top of the set before may hold one more."""
 THOROUGH: dict[str, Any] = {"iterations": 25, "renewals": 4, "tolerance": 0.2}
@@ -305,7 +308,9 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], far: list[Star
     def told(text: str, share: float) -> None:
         progress(text, begin + (end - begin) * share)
 
-    screened, pairs, exchanges = screen(predictor, parent, pool)
+    wavy = [c for c in pool if c.effect and c.effect.waves]
+    seen = waves(search.all_horizons, parent, WAVES) if wavy else []
+    screened, pairs, exchanges = screen(predictor, parent, [*pool, *(c.repeating(seen) for c in wavy)])
     grows = rung < RUNGS
     content = (effort.content and rung > 0 and remainder(predictor, parent).is_noise
                and not search.differs(parent))  # else what makes that needless pays for itself
@@ -319,6 +324,9 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], far: list[Star
         case = next((key for one in start for key in sorted(parent.key) if one.candidate.hypothesis.holds(key)), None)
         jobs.append((label, start[0].gain if less is None else -np.inf, (start, less or case)))
 
+    def shows(*start: Screened, less: Key | None = None) -> bool:
+        return not one_too_many(predictor.data.rig, parent.key - {less} | {one.candidate.key for one in start})
+
     def tried(start: Start | tuple[tuple[Screened, ...], Key | None]) -> Fit | None:
         if isinstance(start, Start):
             return attempted(predictor, start.space, weighing, start.x, start.own, tolerance=0.5, first=FAR)
@@ -330,18 +338,18 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], far: list[Star
     for far_start in [*rigid, *far]:
         jobs.append((f"{far_start.candidate.hypothesis.label}, far from nominal", -np.inf, far_start))
     for less in sorted(exchanges):
-        others = [one for one in exchanges[less] if one.gain > WORTH_A_FIT]
+        others = [one for one in exchanges[less] if one.gain > WORTH_A_FIT and shows(one, less=less)]
         moved = [one for one in others[effort.exchanged:] if one.candidate.key[0] == less[0]]
         for other in [*others[: effort.exchanged], *moved]:
             add((other,), less)
-    begun_from: Counter[Key] = Counter()
-    for cause in screened if grows else []:
-        key = cause.candidate.key
-        if (cause.gain >= worth and (key in begun_from or len(begun_from) < effort.tried)
-                and begun_from[key] < cause.candidate.starts):
-            begun_from[key] += 1
+    begun_from: Counter[tuple[Key, bool]] = Counter()
+    for cause in filter(shows, screened) if grows else []:
+        one = cause.candidate.key, cause.candidate.by_torque
+        if (cause.gain >= worth and (one in begun_from or one[1] or len(begun_from) < effort.tried)
+                and begun_from[one] < cause.candidate.starts):
+            begun_from[one] += 1
             add((cause,))
-    for pair in pairs[: effort.pairs] if grows and not content else []:
+    for pair in [pair for pair in pairs if shows(*pair)][: effort.pairs] if grows and not content else []:
         first, second = (one.candidate for one in pair)
         apart = not (first.hypothesis.holds(second.key) or second.hypothesis.holds(first.key))
         if pair[0].gain > WORTH_A_FIT and apart:

@@ -2,17 +2,16 @@
 
 import math
 import re
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from station.diagnose.candidates import ACCEL, ENCODER, INPUT, one_too_many
 from station.diagnose.equivalences import (
-    ACCEL,
     CLOCK,
-    ENCODER,
     GAIN,
-    INPUT,
     TABLE,
     Setting,
     completed,
@@ -286,6 +285,19 @@ def test_the_others_on_the_scale_are_rivals_of_the_gain():
     assert set(said) == scale - {GAIN} | {other, held} and said.pop(other) == pytest.approx(0.08)
     assert said.pop(held) == pytest.approx(0.02) and set(said.values()) == {BELIEVABLE}
     assert {(r.effect, r.at) for r in rivals(odds, causes, GAIN, [])} == {other, held}
+
+
+@pytest.mark.parametrize("rig", [SFLR, AXIS, TWO], ids=["accelerometer", "axis", "two masses"])
+def test_a_set_of_delays_is_one_too_many_just_where_fewer_do_the_same(rig):
+    sites = {"input": INPUT, "encoder": ENCODER} | ({} if rig.accelerometer is None else {"accelerometer": ACCEL})
+    for names in (names for count in range(len(sites) + 1) for names in combinations(sites, count)):
+        times = {name: 0.001 * (k + 1) for k, name in enumerate(names)}
+        causes = frozenset(sites[name] for name in names) | {("coulomb_friction", "motor")}
+        rows = standing(setting(rig), causes, rig.with_effects([*FRICTION, *late(**times)]))
+        fewer = [side for row in rows for side in row.sides if len(side.causes) < len(causes)]
+        # Of two times alone that happen to be equal one is enough, too: no matter of the set.
+        assert one_too_many(rig, causes) == (len(names) == len(sites)), names
+        assert not one_too_many(rig, causes) or any(fewer), names
 
 
 def test_odds_of_two_sides_stand_as_the_prior_says():

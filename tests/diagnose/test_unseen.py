@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from station.diagnose import unseen
-from station.diagnose.diagnose import _disturbance, diagnose
+from station.diagnose.diagnose import diagnose
+from station.diagnose.disturbance import disturbance
 from station.diagnose.measures import nrmse
 from station.diagnose.result import Estimate
 from station.diagnose.validation import nominal
@@ -91,5 +92,5 @@ def test_the_torque_missing_by_the_rig_file_is_the_same_of_a_run_that_begins_in_
         assert [one.in_motion for one in data.records] == [begun > 0.0] * 2
         space = parameters(data, Hypothesis(), {})
         nothing = fit(predictor, space, Weighing(np.ones((2, len(predictor.channel))), 1.0), space.mean)
-        told.append(_disturbance(predictor, [nominal(data, nothing)] * 3).nominal)
+        told.append(disturbance(predictor, [nominal(data, nothing)] * 3).nominal)
     assert told[1] == pytest.approx(told[0], rel=0.2)

@@ -136,6 +136,9 @@ class Effect(BaseModel):
     """Tables that the rig must have; the table of the place is always needed."""
     absolute: ClassVar[str | None] = None
     """The parameter that refers to the absolute angle, if any: it shifts with a run's encoder zero."""
+    waves: ClassVar[str | None] = None
+    """The parameter that says how often per turn the law repeats itself, if any: a diagnosis guesses it from the torque
+    that is missing, too."""
     simpler: ClassVar[Mapping[str, Mapping[str, str]]] = {}
     """Effects that this one holds as special cases, and must hold against: by name, which of its parameters each of
     theirs is."""

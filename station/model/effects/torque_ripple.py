@@ -26,7 +26,7 @@ class TorqueRipple(Effect):
     name, title = "torque_ripple", "torque ripple"
     sites: ClassVar = ("motor",)
     stage, law = Stage.TORQUE, torque
-    absolute = "phase"
+    absolute, waves = "phase", "cycles"
     picture = "angle"
     experiment: ClassVar = {"kind": "pulse", "amplitude": 60}
     telling = ("a slow turn is pushed at the same angles every time, whatever the speed; Stribeck friction knows no "

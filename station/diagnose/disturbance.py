@@ -1,0 +1,101 @@
+"""The torque that a fit misses at the motor, as the quickest observer takes it from the encoder: how large it is, and
+how often per turn it repeats itself.
+
+Of a law a sin(n x + phi) the objective has a valley about every n at which half a wave more or less fits into the
+travel, so that no derivative leads from one n to another.  The torque itself shows it: with m its mean in each of equal
+cells of the travel, of each run and way of turning less the mean of all,
+
+    P(n) = 2 |sum over cells of m exp(-i n x)|^2 / (cells sum of m^2)
+
+is the share of it that a sine of n waves per turn has (the periodogram: Schuster, Terr. Magn. 3, 1898; of cells that
+were not passed as of zeros: Lomb, Astrophys. Space Sci. 39, 1976).  A friction, a bias, whatever hangs on the way of
+turning alone, is in the mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.fft
+import scipy.ndimage
+import scipy.signal
+
+from station.diagnose.result import Disturbance
+from station.estimation.fitted import Fit
+from station.estimation.observer import torque_gains
+from station.estimation.prediction import Predictor, built, in_motion, predict_run
+
+CELLS = 8192
+"""Of the travel."""
+FINER = 8
+"""Steps of n in which another half wave fits into the travel."""
+WAVES = 2.0
+"""Fewest waves in the travel: of fewer the usual ones are near enough, and what bends slowly is no wave."""
+FEWEST = 50
+"""Rows that a run must turn one way."""
+TURNING = 9
+"""Rows over which a speed is taken."""
+
+
+def _missing(predictor: Predictor, found: Fit) -> tuple[list[np.ndarray], tuple[float, float]]:
+    """The torque of every run in the rows that count (counts of command), as the quickest observer shows it; of a
+    torque the share that it shows, and what it makes of the encoder's noise (``torque_gains``)."""
+    data, quickest, space, x = predictor.data, predictor.observers[:1], found.space, found.x
+    model = built(space.rig_at(x))
+    torques = [predict_run(data, model, quickest, r, found.own[r], zero=space.zero(x, record.zero_group),
+                           place=space.place(x, r))[1][0][record.window] for r, record in enumerate(data.records)]
+    return torques, torque_gains(quickest[0], model, in_motion(data, model))
+
+
+def disturbance(predictor: Predictor, fits: Sequence[Fit]) -> Disturbance:
+    """The torque at the motor that is missing with each fit, and with what it says that runs have of their own, in the
+    rows that count: a share of the command's rms torque.
+
+    It is what the quickest observer makes of it over the share of a torque that it shows, less what the encoder's noise
+    makes of it.
+    """
+    data = predictor.data
+
+    def share(one: Fit) -> float:
+        torques, (shown, noise) = _missing(predictor, one)
+        missing, command = 0.0, 0.0
+        for torque, run, record in zip(torques, data.runs, data.records, strict=True):
+            given = run.command[record.window]
+            missing += float(torque @ torque) - noise * float(data.sigma[0] ** 2) * len(torque)
+            command += float(given @ given)
+        return float(np.sqrt(max(missing, 0.0) / max(command, 1e-300)) / shown)
+    shares = predictor.pool.map(share, [one.light for one in fits])
+    return Disturbance(**dict(zip(Disturbance.model_fields, shares, strict=True)))
+
+
+def waves(predictor: Predictor, found: Fit, most: int) -> list[float]:
+    """How often per turn the torque that a fit misses repeats itself: the ``most`` highest peaks, the highest first."""
+    runs, records = predictor.data.runs, predictor.data.records
+    angles = [run.encoder[record.window] * predictor.data.rig.angle_per_count
+              for run, record in zip(runs, records, strict=True)]
+    travel = max(float(np.ptp(angle)) for angle in angles)
+    if not travel > 0.0:
+        return []
+    power = np.zeros(CELLS * FINER + 1)
+    for torque, angle in zip(_missing(predictor, found)[0], angles, strict=True):
+        way = np.sign(scipy.ndimage.uniform_filter1d(np.gradient(angle), TURNING))
+        cell = np.minimum((angle - angle.min()) * (CELLS / travel), CELLS - 1).astype(int)
+        for turning in (-1.0, 1.0):
+            rows = way == turning
+            if np.count_nonzero(rows) >= FEWEST:
+                power += _periodogram(cell[rows], torque[rows])
+    per_step = np.pi / (FINER * travel)     # rad^-1, of the transform of 2 CELLS FINER cells
+    peaks = scipy.signal.find_peaks(power)[0]
+    peaks = peaks[peaks * per_step >= 2.0 * np.pi * WAVES / travel]
+    return [float(n) for n in per_step * peaks[np.argsort(-power[peaks], kind="stable")][:most]]
+
+
+def _periodogram(cell: np.ndarray, torque: np.ndarray) -> np.ndarray:
+    """(CELLS FINER + 1) how many cells' worth of a torque (n), passed in these cells (n), sines of so many waves have.
+    """
+    passed = np.bincount(cell, minlength=CELLS)
+    mean = np.bincount(cell, torque, minlength=CELLS) / np.maximum(passed, 1)
+    mean[passed > 0] -= mean[passed > 0].mean()
+    total = float(mean @ mean)
+    return 2.0 * np.abs(scipy.fft.rfft(mean, 2 * CELLS * FINER)) ** 2 / total if total > 0.0 else 0.0
