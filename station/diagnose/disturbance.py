@@ -98,4 +98,4 @@ def _periodogram(cell: np.ndarray, torque: np.ndarray) -> np.ndarray:
     mean = np.bincount(cell, torque, minlength=CELLS) / np.maximum(passed, 1)
     mean[passed > 0] -= mean[passed > 0].mean()
     total = float(mean @ mean)
-    return 2.0 * np.abs(scipy.fft.rfft(mean, 2 * CELLS * FINER)) ** 2 / total if total > 0.0 else 0.0
+    return 2.0 * np.abs(scipy.fft.rfft(mean, 2 * CELLS * FINER)) ** 2 / max(total, 1e-300)

@@ -38,7 +38,7 @@ from station.diagnose.odds import Odds, normalised
 from station.diagnose.result import NextExperiment, Rival, Verdict
 from station.diagnose.thresholds import BELIEVABLE, LISTED, LOG_PRIOR, LOG_PRIOR_PARAMETER, SURE
 from station.estimation.cause import Key, Sizes, constant, constant_path, is_constant
-from station.estimation.parameters import WIDE, clock_sigma
+from station.estimation.parameters import CLOCK_SIGMA, WIDE
 from station.model.effects import Stage, effect_class
 from station.model.units import UNITS, UnknownUnitError, dimension, powers
 from station.rig import Rig
@@ -172,7 +172,7 @@ class _Constants:
             i = self.paths.index(path)
             found[i, i] += WIDE**2
         if CLOCK in causes:
-            found += clock_sigma(self.setting.rig) ** 2 * np.outer(self.time, self.time)
+            found += CLOCK_SIGMA**2 * np.outer(self.time, self.time)
         return found
 
     def log_odds(self, other: frozenset[Key], directions: Sequence[np.ndarray]) -> float:
@@ -234,7 +234,7 @@ def _time(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
         return [Side(other, rescaled(_with(rig, [CLOCK], {}), time=1.0 / ratio), known.log_odds(other, known.units))]
     found = []
     for other, log_odds in known.believable([CLOCK]):
-        ratio = math.exp(known.along(other - {CLOCK}, known.time, clock_sigma(setting.rig)))
+        ratio = math.exp(known.along(other - {CLOCK}, known.time, CLOCK_SIGMA))
         found.append(Side(other, _with(rescaled(rig, time=ratio), [], {CLOCK: {"ratio": ratio}}), log_odds))
     return found
 

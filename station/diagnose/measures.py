@@ -21,10 +21,10 @@ def nrmse(measured: np.ndarray, simulated: np.ndarray) -> float:
     return float(np.linalg.norm(measured - simulated)) / spread if spread > 0.0 else math.inf
 
 
-def floor(measured: np.ndarray, sigma: float) -> float:
-    """sqrt(n (sigma^2 + q^2/12)) / ||measured - mean||: what noise and rounding alone leave."""
+def floor(measured: np.ndarray, sigma: float, step: float = 1.0) -> float:
+    """sqrt(n (sigma^2 + q^2/12)) / ||measured - mean||: what noise and rounding to steps q alone leave."""
     spread = float(np.linalg.norm(measured - measured.mean()))
-    return math.sqrt(len(measured) * (sigma**2 + QUANTISATION)) / spread if spread > 0.0 else math.inf
+    return math.sqrt(len(measured) * (sigma**2 + QUANTISATION * step**2)) / spread if spread > 0.0 else math.inf
 
 
 def step_measures(run: Run, encoder: np.ndarray, part: slice = slice(None)) -> dict[str, float | None]:

@@ -28,7 +28,7 @@ from station.estimation.constants import base_fit, in_step, settled, told_again
 from station.estimation.fitted import MOST_GAINED, Fit, weighing_of
 from station.estimation.least_squares import FAR, fit, inherited
 from station.estimation.likelihood import Weighing
-from station.estimation.parameters import Hypothesis, Parameters, clock_sigma, parameters
+from station.estimation.parameters import CLOCK_SIGMA, Hypothesis, Parameters, parameters
 from station.estimation.prediction import COARSE, FINE, SEARCH, Accuracy, Predictor
 from station.model.effects import Stage, effect_class
 
@@ -168,7 +168,7 @@ class Selection:
             return 0.0
         ratio, sigma = data.clock
         off = any(cls.stage is Stage.CLOCK for cls, _ in hypothesis.effects)
-        width = math.hypot(sigma, clock_sigma(data.rig)) if off else sigma
+        width = math.hypot(sigma, CLOCK_SIGMA) if off else sigma
         return -0.5 * (math.log(ratio) / width) ** 2 - math.log(width / sigma)
 
     def best(self) -> Fit:
@@ -344,10 +344,10 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], far: list[Star
             add((other,), less)
     begun_from: Counter[tuple[Key, bool]] = Counter()
     for cause in filter(shows, screened) if grows else []:
-        one = cause.candidate.key, cause.candidate.by_torque
-        if (cause.gain >= worth and (one in begun_from or one[1] or len(begun_from) < effort.tried)
-                and begun_from[one] < cause.candidate.starts):
-            begun_from[one] += 1
+        of = cause.candidate.key, cause.candidate.by_torque
+        if (cause.gain >= worth and (of in begun_from or of[1] or len(begun_from) < effort.tried)
+                and begun_from[of] < cause.candidate.starts):
+            begun_from[of] += 1
             add((cause,))
     for pair in [pair for pair in pairs if shows(*pair)][: effort.pairs] if grows and not content else []:
         first, second = (one.candidate for one in pair)

@@ -323,7 +323,7 @@ def gain(data: Dataset, comparisons: Sequence[RunComparison],
             if size == 0.0:
                 continue
             measured = getattr(c.run, channel)[c.rows]
-            least = floor(measured, sigma)
+            least = floor(measured, sigma, c.run.step(channel))
             b, a = (nrmse(measured, getattr(made, channel)[c.rows]) for made in (c.before, c.after or c.refit))
             setattr(one, channel, ChannelGain(nrmse_before=b, nrmse_after=a))
             spread += size

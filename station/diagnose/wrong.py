@@ -40,7 +40,7 @@ def wrong(comparisons: Sequence[RunComparison], noise: Sequence[float]) -> list[
             misfit = nrmse(read[rows], made[rows])
             if SHOWN_SHARE < misfit < np.inf:       # of a channel that never moves there is none
                 worst = int(np.argmax(np.abs(read - made) * rows))
-                found.append((misfit, run.name, channel, "nrmse", misfit, floor(read[rows], sigma),
+                found.append((misfit, run.name, channel, "nrmse", misfit, floor(read[rows], sigma, run.step(channel)),
                               f"largest at t = {run.t[worst]:.3f} s"))
     return [Wrong(run=run, channel=channel, measure=measure, simulated=s, measured=m, where=where)
             for _, run, channel, measure, s, m, where in sorted(found, key=lambda row: (row[3] == "nrmse", -row[0]))]

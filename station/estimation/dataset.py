@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from station.errors import WorkError
-from station.estimation.noise import QUANTISATION, noise_of, rest_rows, rest_start, rounding_shares
+from station.estimation.noise import QUANTISATION, accel_step, noise_of, rest_rows, rest_start, rounding_shares
 from station.estimation.observer import Observer, observers
 from station.model.effects import USUAL_SPEED
 from station.model.simulate import build, simulate_model
@@ -43,8 +43,10 @@ RIGIDITY = 0.03
 """Sigma of each harmonic of a beam's rigidity along its length, where the rig file says nothing: the cube of a
 thickness that varies by a percent (of cold rolled strip several are allowed: EN 10140), or a sensor's cable along it.
 """
+SENSORS = ("encoder", "accel")
 UNROUNDED = 0.3
-"""Noise of a sensor, counts, from which on its rounding errors are independent from sample to sample (Widrow)."""
+"""Noise of a sensor, steps of its readings, from which on rounding errors are independent from sample to sample
+(Widrow)."""
 
 
 class Logs(NamedTuple):
@@ -224,7 +226,8 @@ class Dataset:
     @property
     def sigma(self) -> np.ndarray:
         """(c) standard deviation of a reading, rounding included, counts."""
-        return np.sqrt(np.square(self.noise[: self.channels]) + QUANTISATION)
+        steps = np.array([1.0, accel_step(self.runs)])
+        return np.sqrt(np.square(self.noise[: self.channels]) + QUANTISATION * steps[: self.channels] ** 2)
 
 
 def _evenly(values: np.ndarray) -> np.ndarray:
@@ -355,18 +358,20 @@ def _in_motion(rig: Rig, run: Run, noise: Sequence[float]) -> bool:
     first = replace(run.slice(0, rows), metadata=RunMetadata(start="equilibrium"))
     made = simulate_model(build(rig), first, rounding=False, start_angle=float(run.encoder[0]) * rig.angle_per_count)
     moving = False
-    for channel, sigma in zip(("encoder", "accel"), noise, strict=False):
+    for channel, sigma in zip(SENSORS, noise, strict=False):
         measured, could = getattr(run, channel), getattr(made, channel) - np.mean(getattr(made, channel))
         factor = min(max(float(could @ measured[:rows]) / max(float(could @ could), 1e-12), 0.0), 2.0)
-        small = FIRST_COUNTS + FIRST_SIGMAS * sigma + FIRST_SHARE * float(np.ptp(measured)) * (channel == "accel")
+        small = FIRST_COUNTS * run.step(channel) + FIRST_SIGMAS * sigma
+        small += FIRST_SHARE * float(np.ptp(measured)) * (channel == "accel")
         moving |= float(np.ptp(measured[:rows] - factor * could)) > small
     return moving and len(run) > 2 * WARM * rig.sample_rate
 
 
 def _shares(run: Run, window: np.ndarray, noise: Sequence[float]) -> np.ndarray:
     """Independent errors per sample of each channel (c, n)."""
-    return np.stack([np.ones_like(read) if own > UNROUNDED else rounding_shares(read)
-                     for read, own in zip((run.encoder, run.accel), noise, strict=False) if read is not None]) * window
+    readings = [(read, run.step(channel)) for channel in SENSORS if (read := getattr(run, channel)) is not None]
+    return np.stack([np.ones_like(read) if own > UNROUNDED * step else rounding_shares(read / step)
+                     for (read, step), own in zip(readings, noise, strict=False)]) * window
 
 
 def clock_evidence(runs: Sequence[Run]) -> tuple[float, float] | None:

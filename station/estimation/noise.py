@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from station.runs.run import Run
 QUANTISATION = 1.0 / 12.0
 """Variance of rounding to whole counts, counts^2."""
 ACCEL_DEFAULT = 1.0
-"""Standard deviation of an accelerometer's noise, counts, where no run shows it at rest."""
+"""Standard deviation of an accelerometer's noise, steps of its readings, where no run shows it at rest."""
 
 SMOOTH = 5.0
 """Samples within which what a model misses stays alike: an encoder that crosses a count in fewer reads it between the
@@ -82,6 +83,7 @@ def noise_of(runs: list[Run]) -> Noise:
     alone.  Without any rest the accelerometer's is a default.  Rounding's own variance q^2/12, which a reading that
     moves at all holds, is taken off.
     """
+    step = accel_step(runs)
     rests = [(run, np.flatnonzero(run.logged[: rest_rows(run)])) for run in runs]
 
     def pooled(channel: str) -> tuple[float, int]:
@@ -92,9 +94,15 @@ def noise_of(runs: list[Run]) -> Noise:
 
     (encoder, encoder_rows), (accel, accel_rows) = pooled("encoder"), pooled("accel")
     angle, freedoms = max((encoder / max(encoder_rows, 1), float(encoder_rows)), scatter(runs))
-    acceleration = accel / accel_rows if accel_rows else ACCEL_DEFAULT**2 + QUANTISATION
-    angle, acceleration = (math.sqrt(max(variance - QUANTISATION, 0.0)) for variance in (angle, acceleration))
+    acceleration = accel / accel_rows if accel_rows else (ACCEL_DEFAULT**2 + QUANTISATION) * step**2
+    angle = math.sqrt(max(angle - QUANTISATION, 0.0))
+    acceleration = math.sqrt(max(acceleration - QUANTISATION * step**2, 0.0))
     return Noise((angle, acceleration), (max(freedoms, 1.0), max(float(accel_rows), 1.0)))
+
+
+def accel_step(runs: Iterable[Run]) -> float:
+    """The finest step of the accelerometer's readings in these runs, counts."""
+    return min(run.step("accel") for run in runs)
 
 
 def scatter(runs: list[Run]) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from scipy.special import ndtr
 
 from station.estimation.cause import Causes, Key, Sizes, constant
 from station.estimation.dataset import Dataset
-from station.model.effects import Effect, ParameterInfo, Stage, effect_class
+from station.model.effects import Effect, ParameterInfo, Stage
 from station.rig import Rig
 
 FARTHEST = 8.0
@@ -26,6 +26,9 @@ WIDE = 1.5
 """Prior sigma of the logarithm of a constant that a hypothesis sets free, and of an effect's size."""
 PLACE, PHASE = 2.0, 3.2
 """Prior sigmas of signed sizes, in units of a usual one, and of phases, rad (wider than a turn: none is preferred)."""
+CLOCK_SIGMA = 0.04
+"""Prior sigma of the logarithm of a clock's ratio where no second clock watched it: what an oscillator without a quartz
+is made to (the PSoC 5LP's, 24 MHz: 4 %, CY8C58LP's data sheet); a quartz is far better."""
 
 EXACT = 1e-6
 """Sigma of the logarithm of a constant that a rig file calls exact."""
@@ -311,8 +314,8 @@ def parameters(data: Dataset, hypothesis: Hypothesis, centres: Sizes, fixed: Col
             coordinate = _coordinate((cls.name, at), name, info, value, [g[name] for g in usual],
                                      min(info.high, cls.largest(rig, at).get(name, math.inf)))
             coordinates.append(coordinate)
-            if cls.stage is Stage.CLOCK and data.clock is not None:
-                value, error = data.clock
+            if cls.stage is Stage.CLOCK:
+                value, error = data.clock or (1.0, CLOCK_SIGMA)
                 precision.append(((value if coordinate.log else coordinate.scale) / error) ** 2)
             else:
                 precision.append((WIDE if coordinate.log else PHASE if info.periodic else PLACE) ** -2)
@@ -329,12 +332,6 @@ def parameters(data: Dataset, hypothesis: Hypothesis, centres: Sizes, fixed: Col
     precision += [PLACE**-2] * zeros + [1.0] * (len(held) + split + places)
     return Parameters(rig, hypothesis, paths, np.linalg.cholesky(covariance), tuple(coordinates), known, zeros, held,
                       split, places, np.array(mean), np.array(precision))
-
-
-def clock_sigma(rig: Rig) -> float:
-    """Prior sigma of the logarithm of a clock's ratio: the size that is looked for first, WIDE at its upper end."""
-    usual = effect_class("clock_scale").guesses(rig, "clock")
-    return math.exp(WIDE) * max(abs(math.log(guess["ratio"])) for guess in usual)
 
 
 def held_within(rig: Rig) -> tuple[Held, ...]:

@@ -42,7 +42,7 @@ def effective_command(rig: Rig, command: np.ndarray) -> np.ndarray:
     state, sent = initial_state(model), np.append(np.asarray(command, dtype=float), 0.0)
     zero, history = np.zeros(rows + 1), np.zeros((rows + 1, 2))
     stepper.run_ticks(model.plan, state, controller_arrays({"kind": "open"}, model.rig), sent, sent, False, 0, 0.0,
-                      stepper.NONE, False, zero, zero.copy(), history)
+                      stepper.NONE, (False, False), zero, zero.copy(), history)
     return np.diff(history @ model.form.basis[1]) / (model.plan.h * model.plan.substeps)
 
 

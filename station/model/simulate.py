@@ -242,7 +242,7 @@ def simulate_model(model: Model, run: Run, *, rounding: bool | Literal["inside"]
     encoder, accel = np.zeros(rows), np.zeros(rows)
     history = np.zeros((rows if states else 0, state.z.size))
     stepper.run_ticks(model.plan, state, controller, reference, command, closed, meta.command_row, accel_offset,
-                      inside, bool(inside) and meta.rounding, encoder, accel, history, more)
+                      inside, (bool(inside) and run.rounded, run.step("accel") == 1.0), encoder, accel, history, more)
     shape = full = None
     if states:
         full = history @ model.form.basis[: model.assembly.size].T

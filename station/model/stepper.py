@@ -489,7 +489,7 @@ def tick(plan, state, command, offset, rounding, work, out):
 
 
 @kernel()
-def ticks(plan, state, controller, reference, command, closed, command_row, offset, rounding, round_command,
+def ticks(plan, state, controller, reference, command, closed, command_row, offset, rounding, whole,
           encoder, accel, history, more, seen, work, past, past_accel):
     """As ``run_ticks``, with room to work in."""
     rows = reference.size
@@ -509,7 +509,8 @@ def ticks(plan, state, controller, reference, command, closed, command_row, offs
         if rounding == NONE:
             seen_encoder[row], seen_accel[row] = encoder[row], accel[row]
         else:
-            seen_encoder[row], seen_accel[row] = math.floor(encoder[row] + 0.5), math.floor(accel[row] + 0.5)
+            seen_encoder[row] = math.floor(encoder[row] + 0.5)
+            seen_accel[row] = math.floor(accel[row] + 0.5) if whole[1] else accel[row]
         if history.shape[0] > 0:
             for i in range(z.size):
                 history[row, i] = z[i]
@@ -538,7 +539,7 @@ def ticks(plan, state, controller, reference, command, closed, command_row, offs
                     out -= feedback[k] * y[k]
                 out = min(max(out, -controller.limit), controller.limit)
                 v[0] = out
-                if round_command:
+                if whole[0]:
                     out = math.floor(out + 0.5)
             command[row] = out
         further = more[0] * command[row] + more[1]
@@ -577,15 +578,16 @@ def joint_along(laws, stiffness, damping, deflection, rate):
     return out
 
 
-def run_ticks(plan, state, controller, reference, command, closed, command_row, offset, rounding, round_command,
+def run_ticks(plan, state, controller, reference, command, closed, command_row, offset, rounding, whole,
               encoder, accel, history, more=(0.0, 0.0)):
     """One whole test; writes command (where closed), encoder, accel (n) and, where asked, history (n, 2b).
 
-    ``rounding``: NONE, ALL, or INSIDE: the compensator sees whole counts, the columns stay what was rounded.  ``more``:
+    ``rounding``: NONE, ALL, or INSIDE: the compensator sees whole counts, the columns stay what was rounded.
+    ``whole``: whether commands are whole counts, and whether the accelerometer's readings are.  ``more``:
     what the motor does more in this test, a share of the command and a constant (counts of command).
     """
     rows, order, accel_order = reference.size, controller.numerator.size, max(controller.accel_denominator.size, 1)
-    ticks(plan, state, controller, reference, command, closed, command_row, offset, rounding, round_command,
+    ticks(plan, state, controller, reference, command, closed, command_row, offset, rounding, whole,
           encoder, accel, history, more, (np.zeros(rows), np.zeros(rows)), np.zeros((4, max(plan.port_joint.size, 1))),
           (np.zeros(order), np.zeros(order), np.zeros(controller.feedback.size)),
           (np.zeros(accel_order), np.zeros(accel_order)))

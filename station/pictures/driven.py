@@ -36,6 +36,6 @@ def driven_motion(model: Model, run: Run, start: float, offset: float) -> tuple[
     controller = controller_arrays({"kind": "open"}, model.rig)
     encoder, accel, history = np.zeros(rows), np.zeros(rows), np.zeros((rows, state.z.size))
     stepper.run_ticks(model.plan, state, controller, run.reference, np.array(run.command), False, 0, offset, False,
-                      False, encoder, accel, history)
+                      (False, False), encoder, accel, history)
     full = history @ model.form.basis.T
     return (encoder, accel), Motion(full[:, :size], full[:, size:])

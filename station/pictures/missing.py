@@ -128,8 +128,9 @@ def _system(plant: Plant, port: np.ndarray, run: Run) -> System:
         start[:modes, :modes] += np.outer(z, z)
     if channels == 2:
         f[-1, -1] = h[1, -1] = noise[-1, 1] = start[-1, -1] = 1.0
-    sigmas = noise_of([run]).sigmas
-    return System(f, h, np.array([s**2 + QUANTISATION for s in sigmas[:channels]]), start, noise)
+    sigmas = np.array(noise_of([run]).sigmas)
+    steps = np.array([run.step("encoder"), run.step("accel")])
+    return System(f, h, (sigmas**2 + QUANTISATION * steps**2)[:channels], start, noise)
 
 
 def _load(plant: Plant, motion: Motion, command: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from station.control.compensators import Compensator
 from station.control.references import reference_from_test
 from station.errors import UsageError, WorkError
 from station.runs.columns import COLUMNS
-from station.runs.replay import command_limit, compensator_of, replay_commands, rounded
+from station.runs.replay import command_limit, compensator_of, replay_commands
 from station.runs.run import BETWEEN, LOST, SENT, Run
 
 TELLS = 1.0
@@ -82,7 +82,7 @@ def _own_commands(run: Run, straight: Run, limit: float) -> np.ndarray:
     smooth = straight.metadata.model_copy(update={"controller": straight.metadata.controller | {"rounding": False}})
     own = replay_commands(replace(straight, encoder=readings, metadata=smooth), limit)
     whole = np.roll(readings == np.round(readings), -straight.metadata.command_row)
-    return np.where(whole, np.floor(own + 0.5), own) if rounded(run) else own
+    return np.where(whole, np.floor(own + 0.5), own) if run.rounded else own
 
 
 def _readings(straight: Run, compensator: Compensator, commands: np.ndarray) -> np.ndarray:

@@ -96,7 +96,7 @@ def replay_commands(run: Run, limit: float | None = None, *, shaped: bool = Fals
         commands[row] = compensator.step(target, *reading)
         if told is not None and told[row]:
             compensator.sent(run.command[row])
-    return np.floor(commands + 0.5) if rounded(run) else commands
+    return np.floor(commands + 0.5) if run.rounded else commands
 
 
 def compare_replay(run: Run, limit: float | None = None, *, shaped: bool = False,
@@ -125,15 +125,10 @@ def _note(run: Run, commands: np.ndarray, beyond: np.ndarray, limit: float, shap
                 return f"they fit command_row {row}, the metadata say {run.metadata.command_row}"
     if not shaped and SHAPED in run.extra:
         return f"from row {first} on; replay from {SHAPED} tells whether the accelerometer loop's digits do it"
-    if not rounded(run) and np.array_equal(run.command, np.floor(commands + 0.5)):
+    if not run.rounded and np.array_equal(run.command, np.floor(commands + 0.5)):
         return "the log was rounded, the metadata say it was not"
     return f"from row {first} on they are not this compensator's"
 
 
 def _with(run: Run, **metadata: Any) -> Run:
     return replace(run, metadata=run.metadata.model_copy(update=metadata))
-
-
-def rounded(run: Run) -> bool:
-    """Whether a run's commands were rounded to whole counts."""
-    return bool(run.metadata.controller.get("rounding", run.metadata.rounding))

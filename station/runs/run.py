@@ -87,6 +87,10 @@ class RunMetadata(BaseModel):
         return cls.from_entries(label, entries)
 
 
+def _whole(values: np.ndarray) -> bool:
+    return bool(np.array_equal(values, np.rint(values)))
+
+
 def _plain(value: Any) -> Any:
     """numpy's numbers and arrays as JSON's."""
     if isinstance(value, np.generic | np.ndarray):
@@ -245,6 +249,19 @@ class Run:
         """(n) whether each row was logged; False where ``filled`` put it in."""
         lost = self.extra.get(LOST)
         return np.ones(len(self), dtype=bool) if lost is None else lost == 0.0
+
+    @property
+    def rounded(self) -> bool:
+        """Whether the commands were rounded to whole counts: the log says so, and they are."""
+        said = self.metadata.controller.get("rounding", self.metadata.rounding)
+        return bool(said) and _whole(self.command[self.logged])
+
+    def step(self, channel: str) -> float:
+        """Step of a sensor's readings, counts: the encoder's is 1, and the accelerometer's where they are whole, as a
+        converter's are; of a log in other units the least by which two differ, at least a millionth of their range."""
+        if channel == "encoder" or self.accel is None or _whole(read := self.accel[self.logged]):
+            return 1.0
+        return min(max(float(np.diff(np.unique(read)).min()), 1e-6 * float(np.ptp(read))), 1.0)
 
     @property
     def blank(self) -> np.ndarray:

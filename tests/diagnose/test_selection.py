@@ -19,7 +19,7 @@ from station.estimation.cause import constant
 from station.estimation.constants import base_fit
 from station.estimation.least_squares import fit
 from station.estimation.likelihood import Weighing
-from station.estimation.parameters import Hypothesis, clock_sigma, parameters
+from station.estimation.parameters import CLOCK_SIGMA, Hypothesis, parameters
 from station.estimation.prediction import Predictor
 from station.model.effects import effect_class
 from station.rig import Rig, load_rig
@@ -96,7 +96,7 @@ def test_clocks_that_disagree_speak_against_every_set_that_leaves_the_boards_clo
     """One that is off may be so by any ratio of its prior: what was read is one of many."""
     search, ratio = searching((1.004, 0.001)), math.log(1.004)
     assert search.score(found(0.0)) == pytest.approx(-0.5 * (ratio / 0.001) ** 2)
-    right, off = (norm.logpdf(ratio, scale=width) for width in (0.001, math.hypot(0.001, clock_sigma(AXIS))))
+    right, off = (norm.logpdf(ratio, scale=width) for width in (0.001, math.hypot(0.001, CLOCK_SIGMA)))
     assert search.score(found(0.0, CLOCK)) - search.score(found(0.0)) == pytest.approx(LOG_PRIOR + off - right)
 
 
