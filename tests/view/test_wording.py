@@ -218,7 +218,9 @@ def test_delays_that_something_tells_apart_stay_two(facts: dict[str, Any]) -> No
 
 
 @pytest.mark.parametrize(("share", "words"), [
-    (0.004, "but little: with its constants re-fitted all that is left is a torque of 0.4 % of the command's, which no "
+    (0.004, "but little: with its constants re-fitted no torque is missing a few hundredths of a second ahead (less than "
+            "0.5 % of the command's); what is left shows in whole runs alone."),
+    (0.012, "but little: with its constants re-fitted all that is left is a torque of 1.2 % of the command's, which no "
             "law of the catalogue describes."),
     (0.1, "with its constants re-fitted a torque of 10 % of the command's is still missing")])
 def test_what_is_unexplained_says_how_much(share: float, words: str) -> None:
@@ -288,13 +290,18 @@ def test_what_runs_left_out_speak_against_is_told_as_that(disturbance: Disturban
 
 @pytest.mark.parametrize(("before", "after", "words"), [
     (2.0, 0.8, "Re-fitting alone does 83 % of that, the causes the rest."), (20.0, 0.9, "does nearly all of that."),
-    (2.0, 1.0, "does all of that."), (0.9, 0.5, "does none of that."), (0.5, 0.9, "with the causes.")])
+    (2.0, 1.0, "does all of that. But 5 of 5 runs are met better with the causes."), (0.9, 0.5, "does none of that."),
+    (0.5, 0.9, "with the causes.")])
 def test_re_fittings_share_of_the_gain_is_told(before: float, after: float, words: str) -> None:
     result = made.result()
     refit = result.refitted("encoder")
     gain = Gain(held_out=["a"], encoder=ChannelGain(nrmse_before=before * refit, nrmse_after=after * refit))
     told = wording.beyond(replace(result, diagnosis=result.diagnosis.model_copy(update={"gain": gain})))
     assert len(told) == 1 and told[0].endswith(words)
+    worse = [replace(row, after=row.before) for row in result.comparisons]
+    told = wording.beyond(replace(result, comparisons=worse, diagnosis=result.diagnosis.model_copy(
+        update={"gain": gain})))
+    assert told[0].endswith(words.removesuffix(" But 5 of 5 runs are met better with the causes."))
 
 
 def test_what_a_refit_strains_is_told_by_name() -> None:

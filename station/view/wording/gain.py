@@ -18,7 +18,6 @@ from station.view.wording.remains import leaves_noise
 if TYPE_CHECKING:
     from station.diagnose.result import ChannelGain, Diagnosis, DiagnosisResult
 
-
 def gone(diagnosis: Diagnosis) -> str:
     """How much of the error above the noise the causes take away on unseen runs, as a clause; empty where nothing says.
 
@@ -53,8 +52,15 @@ def beyond(result: DiagnosisResult) -> list[str]:
                  f" Re-fitting alone does {percent(share)} of that, the causes the rest.")
         said.append(f"{words.capitalize()} error: {percent(gain.nrmse_before)} with the rig file as it is, "
                     f"{percent(refit)} with its constants re-fitted, {percent(gain.nrmse_after)} with the causes."
-                    f"{alone}")
+                    f"{alone}{_most_runs(result, name) if gain.nrmse_after >= refit else ''}")
     return said
+
+
+def _most_runs(result: DiagnosisResult, channel: str) -> str:
+    """That most runs are met better with the causes, where they are, though the largest errors are not."""
+    errors = [row.errors(channel)[1:] for row in result.comparisons if channel in row.channels]
+    better = sum(before is not None and after is not None and after < before for before, after in errors)
+    return f" But {better} of {len(errors)} runs are met better with the causes." if 2 * better > len(errors) else ""
 
 
 def strained(result: DiagnosisResult) -> str:

@@ -50,7 +50,7 @@ def between_runs(diagnosis: Diagnosis) -> str:
             parts.append(f"by {size}, from {least} to {most} ({probability(found.probability[name])} probable, shown "
                          f"by {resamples(found.stability[name])})")
     where, what = (("From one half of the run to the other", "A motor that warms up") if len(diagnosis.runs) == 1 else
-                   ("From run to run", "A supply whose voltage differs between tests"))
+                   ("From run to run", "A supply whose voltage differs between tests, or another load on the motor,"))
     words = (f"{where} the motor does more or less {' and '.join(parts)}, as no cause with one value can (standard "
              "deviations).")
     return f"{words} {what} does that to a share of the command." if "share" in found.probability else words

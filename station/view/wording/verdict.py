@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 SMALL = 0.02
 """Share of the command's torque below which a missing one is called little: models of rigs lack as much
 (``estimation.observer.UNMODELLED``, a fiftieth of what tests command)."""
+NONE = 0.005
+"""Share below which none is told: it would be a nought of a percent."""
 
 
 def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
@@ -96,7 +98,9 @@ def _unexplained(missing: float, differ: str, none_named: str) -> str:
     share = f"a torque of {percent(missing)} of the command's"
     little = ", but little" if missing < SMALL and not differ else ""
     begin = f": {differ}. With that and" if differ else f"{little}: with"
-    ends = (f"all that is left is {share}, which no law of the catalogue describes." if missing < SMALL else
+    ends = (f"no torque is missing a few hundredths of a second ahead (less than {percent(NONE)} of the command's); "
+            "what is left shows in whole runs alone." if missing < NONE else
+            f"all that is left is {share}, which no law of the catalogue describes." if missing < SMALL else
             f"{share} is still missing, and {none_named}.")
     return f"The simulation gets something wrong{begin} its constants re-fitted {ends}"
 
