@@ -10,12 +10,13 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from station.errors import WorkError
 from station.estimation.noise import QUANTISATION, accel_step, noise_of, rest_rows, rest_start, rounding_shares
 from station.estimation.observer import Observer, observers
 from station.model.effects import USUAL_SPEED
-from station.model.simulate import build, simulate_model
+from station.model.simulate import Simulation, build, simulate_model
 from station.rig import PROFILE, Rig
 from station.runs.columns import place
 from station.runs.rollover import rollover, rollover_fault
@@ -31,6 +32,9 @@ FINDS = 0.1
 so stiffly that the beam's errors ring on as on a clamp; a longer one's base forgets late."""
 WARM = 1.0
 """Seconds for that: what is wrong of a flexible arm's base and first mode is then below a hundredth."""
+PUSHED = 0.01
+"""Largest constant that a motor does of itself, as a share of the amplifier's limit (an offset of its input): it turns
+a rig that is at rest, and a fine encoder shows that at once."""
 FIRST = 0.02
 """Seconds that tell whether a run begins in motion: too few for a command to move much."""
 MOTION = 256
@@ -352,18 +356,25 @@ def _finding(rig: Rig, run: Run, noise: Sequence[float]) -> np.ndarray:
 def _in_motion(rig: Rig, run: Run, noise: Sequence[float]) -> bool:
     """Whether a run of more than twice WARM begins in motion.
 
-    It does where its first rows are not those of the nominal rig at rest, times a factor of 0 to 2 that fits them best.
+    It does where its first rows are not those of the nominal rig at rest: times a factor of 0 to 2, beside what a
+    constant of PUSHED of the amplifier's limit either way does, that fit them best.
     """
-    rows = max(math.ceil(FIRST * rig.sample_rate), 3)
+    rows, model = max(math.ceil(FIRST * rig.sample_rate), 3), build(rig)
     first = replace(run.slice(0, rows), metadata=RunMetadata(start="equilibrium"))
-    made = simulate_model(build(rig), first, rounding=False, start_angle=float(run.encoder[0]) * rig.angle_per_count)
-    moving = False
+
+    def made(more: float) -> Simulation:
+        return simulate_model(model, first, rounding=False, more=(0.0, more),
+                              start_angle=float(run.encoder[0]) * rig.angle_per_count)
+
+    asked, pushed, moving = made(0.0), made(PUSHED * rig.amplifier.limit), False
     for channel, sigma in zip(SENSORS, noise, strict=False):
-        measured, could = getattr(run, channel), getattr(made, channel) - np.mean(getattr(made, channel))
-        factor = min(max(float(could @ measured[:rows]) / max(float(could @ could), 1e-12), 0.0), 2.0)
+        measured, could, further = (getattr(one, channel)[:rows] for one in (run, asked, pushed))
+        columns = np.stack([could, further - could], axis=1)
+        columns = columns - columns.mean(axis=0)
+        fits = lsq_linear(columns, measured - measured.mean(), ([0.0, -1.0], [2.0, 1.0])).x
         small = FIRST_COUNTS * run.step(channel) + FIRST_SIGMAS * sigma
-        small += FIRST_SHARE * float(np.ptp(measured)) * (channel == "accel")
-        moving |= float(np.ptp(measured[:rows] - factor * could)) > small
+        small += FIRST_SHARE * float(np.ptp(getattr(run, channel))) * (channel == "accel")
+        moving |= float(np.ptp(measured - columns @ fits)) > small
     return moving and len(run) > 2 * WARM * rig.sample_rate
 
 

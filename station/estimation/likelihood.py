@@ -39,7 +39,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from station.estimation.dataset import Dataset
+from station.estimation.dataset import PUSHED, Dataset
 from station.rig import Rig
 
 FREEDOMS = np.array([2.0, 8.0, 32.0, 1e9])
@@ -54,7 +54,7 @@ NUISANCES = (0.35, 0.5)
 """Prior sigmas of a run's starting angle and accelerometer offset, counts: rounding's, and drift since it was read."""
 LEAST = 1e-6, 5e-9
 """By which runs differ where they do not: a share of the command, and of the amplifier's limit."""
-LARGEST = 0.3, 0.01
+LARGEST = 0.3, PUSHED
 """Most by which runs differ: a share of the command (what the voltage of a supply that nothing regulates, a battery or
 a wall adapter, may differ by from one day to another), and of the amplifier's limit (an offset of its input)."""
 ROUNDS = 3

@@ -218,8 +218,8 @@ def test_delays_that_something_tells_apart_stay_two(facts: dict[str, Any]) -> No
 
 
 @pytest.mark.parametrize(("share", "words"), [
-    (0.004, "but little: with its constants re-fitted no torque is missing a few hundredths of a second ahead (less than "
-            "0.5 % of the command's); what is left shows in whole runs alone."),
+    (0.004, "but little: with its constants re-fitted no torque is missing a few hundredths of a second ahead (less "
+            "than 0.5 % of the command's); what is left shows in whole runs alone."),
     (0.012, "but little: with its constants re-fitted all that is left is a torque of 1.2 % of the command's, which no "
             "law of the catalogue describes."),
     (0.1, "with its constants re-fitted a torque of 10 % of the command's is still missing")])
