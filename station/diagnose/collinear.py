@@ -20,14 +20,22 @@ from station.estimation.fitted import Fit
 
 
 def collinear(search: Selection, best: Causes, cause: Key) -> frozenset[Key]:
-    """The causes that, in the place of one of the best set's, do the same."""
-    rest, found = best - {cause}, search.fits[best]
-    if rest not in search.fits:
-        return frozenset()
-    done = _distance(search, found, search.fits[rest])
-    others = [keys for keys in search.fits if len(keys) == len(best) and rest < keys and keys != best]
-    return frozenset(key for keys in others if _distance(search, found, search.fits[keys]) < TOLERANCE * done
-                     for key in keys - rest)
+    """The causes that, in the place of one of the best set's, do the same: beside all its others or, where that was not
+    fitted, beside the most of them with which it was."""
+    others = frozenset(key for keys in search.fits for key in keys) - best
+    return frozenset(key for key in others if _alike(search, best, cause, key))
+
+
+def _alike(search: Selection, best: Causes, cause: Key, other: Key) -> bool:
+    """Whether one does what the other does, beside as much of the rest of a set as both were fitted with."""
+    fits, rest = search.fits, best - {cause}
+    beside = max((keys - {other} for keys in fits if other in keys and keys - {other} <= rest
+                  and keys - {other} in fits and keys - {other} | {cause} in fits), key=lambda keys: (len(keys),
+                                                                                         sorted(keys)), default=None)
+    if beside is None:
+        return False
+    mine, its, without = (fits[keys] for keys in (beside | {cause}, beside | {other}, beside))
+    return _distance(search, mine, its) < TOLERANCE * _distance(search, mine, without)
 
 
 def _distance(search: Selection, one: Fit, other: Fit) -> float:

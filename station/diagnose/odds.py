@@ -74,8 +74,8 @@ class Odds:
     """What they are read off; None where they are not of draws."""
 
     def in_its_place(self, best: Causes, cause: Key, among: Causes | None = None) -> float:
-        """Share of the resamples that name a cause of the best set or, beside all the others of it, one more in its
-        place, any or one ``among`` some; an effect is the same at whichever of its places."""
+        """Share of the resamples that name a cause of the best set or one more in its place: any beside all the others
+        of it, or one ``among`` some, that do the same; an effect is the same at whichever of its places."""
         if not self.resampled:
             return 0.0
         ours, rest = ({name for name, _ in keys} for keys in (best, best - {cause}))
@@ -83,8 +83,8 @@ class Odds:
 
         def holds(keys: Causes) -> bool:
             names = {name for name, _ in keys}
-            new = names - ours if others is None else (names - ours) & others
-            return cause[0] in names or rest <= names and bool(new)
+            new = names - ours
+            return cause[0] in names or (rest <= names and bool(new) if others is None else bool(new & others))
         return sum(map(holds, self.resampled)) / len(self.resampled)
 
     def replacements(self, best: Causes, cause: Key) -> dict[Key, float]:
