@@ -45,6 +45,17 @@ def test_the_share_that_it_does_not_do_decides() -> None:
     assert others(set(), DONE + 1.01 * apart) == frozenset()
 
 
+def test_what_was_not_fitted_beside_all_others_is_held_against_it_beside_fewer() -> None:
+    """The largest set in which both were fitted says it."""
+    whole = frozenset({LAG, BIAS})
+    fits = {"nothing": (frozenset(), np.zeros((1, 3))), "lag": (frozenset({LAG}), DONE), "best": (whole, DONE),
+            "delay": (frozenset({DELAY}), DONE)}
+    assert collinear(search(**fits), whole, LAG) == {DELAY}
+    assert collinear(search(**fits | {"delay": (frozenset({DELAY}), ACROSS)}), whole, LAG) == frozenset()
+    beside = {"bias": (frozenset({BIAS}), np.zeros((1, 3))), "both": (frozenset({DELAY, BIAS}), ACROSS)}
+    assert collinear(search(**fits, **beside), whole, LAG) == frozenset(), "beside the others it does not"
+
+
 def test_without_a_fit_without_the_cause_nothing_is_one_with_it() -> None:
     alone = search(best=(frozenset({LAG, BIAS}), DONE), other=(frozenset({DELAY, BIAS}), DONE))
     assert collinear(alone, frozenset({LAG, BIAS}), LAG) == frozenset()

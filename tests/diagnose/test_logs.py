@@ -43,6 +43,27 @@ def test_commands_of_another_controller_make_it_unknown() -> None:
     assert "and 1 more" in sentence and "station replay" in sentence
 
 
+def in_volts(run: Run, per_volt: float = 20.0) -> Run:
+    """The run of a lab whose commands are volts, with three decimals, by a loop whose gain is in volts per count."""
+    run = of(run, gain=run.metadata.controller["gain"] / per_volt)
+    made = simulate(VOLTS, replace(run, command=run.command + 0.5))     # a log of halves is of no whole numbers
+    return replace(run, command=np.round(made.command, 3), encoder=made.encoder)
+
+
+VOLTS = AXIS.with_constants({"amplifier.limit": AXIS.amplifier.limit / 20.0, "motor.gain": 20.0 * AXIS.motor.gain})
+
+
+@pytest.mark.parametrize("stated", [{}, {"rounding": False}])
+def test_commands_that_are_no_whole_counts_are_their_controllers_and_are_simulated_so(stated: dict[str, bool]) -> None:
+    """Rounded to whole volts they were another controller's, and the closed loop another loop."""
+    runs = [of(in_volts(run), **stated) for run in CLOSED]
+    assert not any(run.rounded for run in runs) and as_logged(VOLTS, runs) == (runs, [])
+    for run in runs:
+        again = simulate(VOLTS, run)
+        assert np.ptp(run.command) > 1.0 and np.abs(again.command - run.command).max() < 0.06
+        assert np.abs(again.encoder - run.encoder).max() <= 1.0
+
+
 def test_a_controller_that_is_none_is_left_to_who_simulates_it() -> None:
     odd = of(CLOSED[0], kind="none that there is")
     assert off_by(AXIS, odd) == 0.0 and as_logged(AXIS, [odd])[0] == [odd]

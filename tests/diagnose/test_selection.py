@@ -100,6 +100,18 @@ def test_clocks_that_disagree_speak_against_every_set_that_leaves_the_boards_clo
     assert search.score(found(0.0, CLOCK)) - search.score(found(0.0)) == pytest.approx(LOG_PRIOR + off - right)
 
 
+def test_where_no_second_clock_watched_it_a_clock_is_off_by_what_oscillators_are() -> None:
+    """By an eighth none is: a wrong inertia is likelier then, of which a file may be wrong by anything."""
+    predictor = predictions(AXIS, runs_of(AXIS))
+    clock = effect_class("clock_scale")
+    for guess in (0.97, 1.03):
+        space = parameters(predictor.data, Hypothesis(((clock, "clock"),)), {("clock_scale", "clock"): {"ratio": guess}})
+        [place] = range(space.size)[space.parts["effects"]]
+        [coordinate] = space.coordinates
+        assert coordinate.to_value(space.mean[place]) == 1.0
+        assert coordinate.scale / math.sqrt(space.precision[place]) == pytest.approx(CLOCK_SIGMA)
+
+
 @pytest.mark.parametrize(("ratio", "is_off"), [(1.0, False), (1.00008, False), (0.9997, False), (1.0007, True),
                                                (0.999, True), (1.02, True)])
 def test_two_clocks_that_tick_apart_as_quartz_clocks_do_are_both_right(ratio: float, is_off: bool) -> None:

@@ -11,7 +11,7 @@ import pytest
 from station.errors import WorkError
 from station.estimation.dataset import SEGMENTS, WARM, by_content, dataset
 from station.estimation.noise import rounding_shares
-from station.model.effects import USUAL_SPEED
+from station.model.effects import USUAL_SPEED, effect_class
 from station.rig import Rig, load_rig
 from station.runs.ticks import CLOCKS
 from tests.cli.conftest import step_run
@@ -63,6 +63,15 @@ def test_a_sensor_without_noise_only_rounds_whichever_it_is() -> None:
     assert dataset(rig, [replace(run, accel=run.accel + noise)]).records[0].share[1].sum() == 600.0
 
 
+def test_an_accelerometer_in_other_units_is_counted_by_its_own_step() -> None:
+    rig = load_rig("sflr")
+    run = step_run(rows=600)
+    accel = run.accel + np.round(2.0 * np.random.default_rng(1).standard_normal(600))
+    whole, metric = (dataset(rig, [replace(run, accel=unit * accel)]) for unit in (1.0, 0.02))
+    assert metric.sigma[1] == pytest.approx(0.02 * whole.sigma[1]) and metric.sigma[0] == whole.sigma[0]
+    np.testing.assert_array_equal(metric.records[0].share, whole.records[0].share)
+
+
 def test_runs_share_a_zero_only_where_they_say_so() -> None:
     runs = runs_of(AXIS)
     apart = [replace(run, metadata=run.metadata.model_copy(update={"zero_id": None})) for run in runs]
@@ -75,6 +84,16 @@ def test_a_run_begins_in_motion_where_its_first_rows_do_what_a_rig_at_rest_canno
     cuts = [pulses.slice(first) for first in (0, 20, 49, 100, 150)]
     rows = round(WARM * AXIS.sample_rate)
     assert [record.finding.sum() for record in dataset(AXIS, cuts).records] == [0, 0, 0, rows, rows]
+
+
+def test_a_rig_that_an_unknown_torque_turns_at_once_begins_at_rest() -> None:
+    """A fine encoder shows what it does within a few rows; a speed it shows as well."""
+    fine = AXIS.with_constants({"encoder.counts_per_revolution": 4096.0 * AXIS.encoder.counts_per_revolution})
+    pushed = fine.with_effects([effect_class("command_bias")(at="amplifier", offset=0.008 * AXIS.amplifier.limit)])
+    run = run_of(pushed, 0.0, "open", "x", 3.0)
+    assert np.ptp(run.encoder[:10]) > 20.0
+    begun = [dataset(fine, [one]).records[0].in_motion for one in (run, run.slice(100))]
+    assert begun == [False, True]
 
 
 def test_a_step_in_the_first_row_is_no_motion_whatever_the_rigs_gain() -> None:

@@ -1,5 +1,7 @@
 """Noise is what rests and smooth motions scatter by, and rounding is not counted twice."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -65,6 +67,19 @@ def test_an_encoder_that_dithers_shows_its_noise():
     still = [run for run in runs if rest_rows(run) == 100]
     assert len(still) > 6
     assert noise_of(still).sigmas[0] == pytest.approx(0.45, abs=0.06)
+
+
+@pytest.mark.parametrize("unit", [0.02, 1.0 / 3.0])
+def test_an_accelerometer_that_is_logged_in_other_units_has_the_same_noise_in_them(unit):
+    """In m/s^2, say: neither is its noise taken for what rounds to nothing, nor is a whole unit the rounding's."""
+    counts, few = [made(100, sigma=2.0, seed=seed) for seed in range(8)], made(5)
+    logged = [replace(run, accel=unit * run.accel) for run in (*counts, few)]
+    assert [run.step("accel") for run in logged] == pytest.approx([unit] * 9)
+    assert noise_of(logged[:-1]).sigmas[1] == pytest.approx(unit * noise_of(counts).sigmas[1])
+    assert noise_of(logged[-1:]).sigmas[1] == pytest.approx(unit * noise_of([few]).sigmas[1])
+    assert counts[0].step("accel") == counts[0].step("encoder") == logged[0].step("encoder") == 1.0
+    read = np.random.default_rng(1).standard_normal(600)
+    assert 0.0 < replace(few, accel=read).step("accel") < 1e-3 * np.ptp(read)
 
 
 @pytest.mark.parametrize("sigma", [2.0, 8.0])

@@ -124,6 +124,26 @@ def test_of_a_run_that_begins_in_motion_the_state_is_found_before_anything_count
     assert error < 1.0 and at_rest > 5.0 * error
 
 
+def test_a_quick_observer_finds_the_state_by_itself_where_the_rig_is_wrong() -> None:
+    """Taken over from the slow one that finds it for whole runs, a wrong speed was a blow that outweighed the run."""
+    finer = 256.0
+    rig = AXIS.with_constants({"encoder.counts_per_revolution": finer * AXIS.encoder.counts_per_revolution})
+    rubbing = rig.with_effects([effect_class("coulomb_friction")(at="motor", torque=0.3)])
+    t = np.arange(round(4.0 * rig.sample_rate)) / rig.sample_rate
+    reference = finer * 200.0 * np.sin(2.0 * np.pi * 0.8 * t)
+    zero = np.zeros(len(t))
+    asked = Run("x", t, reference, zero, zero, None, RunMetadata(controller={"kind": "p", "gain": 2.0 / finer}))
+    made = simulate(rubbing, asked)
+    cut = replace(asked, command=made.command, encoder=made.encoder).slice(round(0.4 * rig.sample_rate))
+    data = dataset(rig, [replace(cut, t=cut.t - cut.t[0])])
+    assert data.records[0].in_motion
+    watched = observers(data.rig, data.noise[0])
+    found = predict_run(data, build(data.rig, *SEARCH[:2]), watched, 0, data.own[0])[0]
+    first = int(np.argmin(data.records[0].finding))
+    errors = np.abs(data.records[0].measured[0] - found[0, 0])
+    assert errors[first: first + 50].max() <= 1.5 * errors[first + 50:].max()
+
+
 def test_a_known_torque_is_found_by_the_observer() -> None:
     """A constant torque at the motor, unknown to the model, is what the slow observer ends with, in counts."""
     bias = effect_class("command_bias")(at="amplifier", offset=6.0)
