@@ -105,7 +105,8 @@ def test_where_no_second_clock_watched_it_a_clock_is_off_by_what_oscillators_are
     predictor = predictions(AXIS, runs_of(AXIS))
     clock = effect_class("clock_scale")
     for guess in (0.97, 1.03):
-        space = parameters(predictor.data, Hypothesis(((clock, "clock"),)), {("clock_scale", "clock"): {"ratio": guess}})
+        centres = {("clock_scale", "clock"): {"ratio": guess}}
+        space = parameters(predictor.data, Hypothesis(((clock, "clock"),)), centres)
         [place] = range(space.size)[space.parts["effects"]]
         [coordinate] = space.coordinates
         assert coordinate.to_value(space.mean[place]) == 1.0
