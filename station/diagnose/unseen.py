@@ -87,7 +87,7 @@ def unseen(search: Selection, finding: Finding, said: list[Fit]) -> Unseen:
                 - search.clock_score(nothing.space.hypothesis))
     before, before_ahead = predict_unseen(predictor, unfitted, [unfitted] * len(alone))
     after, after_ahead = predict_unseen(predictor, finding.fit, said) if causes else (refit, refit_ahead)
-    against = contradicted(gains, informed, relieved) or missed_by_more(predictor.data, before, after)
+    against = contradicted(gains, informed, relieved) or missed_by_more(predictor.data, before, refit, after)
     holding = said
     if against and not finding.left.is_noise:
         holding, after, after_ahead = alone, refit, refit_ahead

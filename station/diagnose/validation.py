@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import stdtrit
 
 from station.diagnose.measures import floor, nrmse, repeats, step_figures
 from station.diagnose.result import CHANNELS, ChannelGain, Gain, RunComparison, RunGain
@@ -284,18 +285,24 @@ def contradicted(gains: np.ndarray, informed: np.ndarray, relieved: float) -> bo
     return not float(gains.sum()) + relieved >= allowed     # what is no number does not help
 
 
-def missed_by_more(data: Dataset, before: Sequence[Simulation], after: Sequence[Simulation]) -> bool:
-    """Whether simulations miss the angles of the runs by more than those before did, by the geometric mean over runs: a
-    rig that goes further astray than its file does is no better, however well it predicts a little ahead.
+def missed_by_more(data: Dataset, before: Sequence[Simulation], refit: Sequence[Simulation],
+                   after: Sequence[Simulation]) -> bool:
+    """Whether simulations miss the angles of the runs by more, by the geometric mean over runs, than those before did,
+    or than the re-fitted rig's do beyond what differs from run to run (Student's test of pairs, 95 %, one-sided): a rig
+    that goes further astray is no better, however well it predicts a little ahead.
 
     As errors of unknown size are counted (``likelihood.rho``): by the logarithm of their mean square, in units of the
     noise.  In a sum of squares one run that asks more of the model than the others could tell decides alone.
     """
-    def log_squares(made: Sequence[Simulation]) -> float:
+    def log_squares(made: Sequence[Simulation]) -> np.ndarray:
         errors = [(record.measured[0] - one.encoder)[record.window]
                   for record, one in zip(data.records, made, strict=True)]
-        return sum(math.log1p(float(np.mean(np.square(e))) / data.sigma[0] ** 2) for e in errors if e.size)
-    return not log_squares(after) <= log_squares(before)       # what is no number is no better
+        return np.array([math.log1p(float(np.mean(np.square(e))) / data.sigma[0] ** 2) for e in errors if e.size])
+    old, middle, new = map(log_squares, (before, refit, after))
+    if not new.sum() <= old.sum():      # what is no number is no better
+        return True
+    more, runs = new - middle, len(new)
+    return runs > 1 and bool(np.mean(more) > stdtrit(runs - 1, 0.95) * np.std(more, ddof=1) / math.sqrt(runs))
 
 
 def _loops_step(c: RunComparison, made: Simulation) -> dict[str, float | None]:

@@ -88,7 +88,8 @@ class RunMetadata(BaseModel):
 
 
 def _whole(values: np.ndarray) -> bool:
-    return bool(np.array_equal(values, np.rint(values)))
+    """Whether all are whole numbers, but for what arithmetic makes of their last digits."""
+    return bool(np.allclose(values, np.rint(values), rtol=0.0, atol=1e-6))
 
 
 def _plain(value: Any) -> Any:
@@ -257,9 +258,11 @@ class Run:
         return bool(said) and _whole(self.command[self.logged])
 
     def step(self, channel: str) -> float:
-        """Step of a sensor's readings, counts: the encoder's is 1, and the accelerometer's where they are whole, as a
-        converter's are; of a log in other units the least by which two differ, at least a millionth of their range."""
-        if channel == "encoder" or self.accel is None or _whole(read := self.accel[self.logged]):
+        """Step of a sensor's readings, counts: the encoder's is 1, and the accelerometer's where they are a converter's,
+        whole but for an offset taken off; of a log in other units the least by which two differ, at least a millionth
+        of their range."""
+        read = self.accel[self.logged] if channel == "accel" and self.accel is not None else np.zeros(1)
+        if _whole(read - read[:1]):
             return 1.0
         return min(max(float(np.diff(np.unique(read)).min()), 1e-6 * float(np.ptp(read))), 1.0)
 

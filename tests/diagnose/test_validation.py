@@ -239,11 +239,26 @@ def test_a_rig_that_goes_further_astray_than_its_file_is_no_better(before: float
     def away(size: float) -> list[SimpleNamespace]:
         return [SimpleNamespace(encoder=np.where(rows > 0, size, 1e9 if size == after else 0.0))] * 2
     data = SimpleNamespace(records=[record] * 2, sigma=np.array([0.3]))
-    assert missed_by_more(data, away(before), away(after)) == is_worse
+    assert missed_by_more(data, away(before), away(before), away(after)) == is_worse
 
 
 @pytest.mark.parametrize(("after", "is_worse"), [((1.0, 1.0, 90.0), False), ((9.0, 9.0, 90.0), True)])
 def test_one_run_that_asks_more_of_a_model_does_not_decide_alone(after: tuple[float, ...], is_worse: bool) -> None:
     record = SimpleNamespace(measured=[np.zeros(10)], window=np.full(10, True))
     before, made = ([SimpleNamespace(encoder=np.full(10, size)) for size in sizes] for sizes in ((10.0,) * 3, after))
-    assert missed_by_more(SimpleNamespace(records=[record] * 3, sigma=np.array([0.3])), before, made) == is_worse
+    assert missed_by_more(SimpleNamespace(records=[record] * 3, sigma=np.array([0.3])), before, before,
+                          made) == is_worse
+
+
+@pytest.mark.parametrize(("after", "is_worse"), [((4.0, 6.0, 3.0, 5.0), True), ((1.4, 0.7, 1.2, 0.9), False),
+                                                 ((0.4, 0.5, 0.6, 40.0), False), ((0.5, 0.4, 0.6, 0.3), False)])
+def test_causes_that_miss_run_after_run_by_more_than_a_refit_are_none(after: tuple[float, ...], is_worse: bool) -> None:
+    """Though by less than the rig's file: it missed by a hundred, the re-fitted rig by one; of one run nothing is said.
+    """
+    record = SimpleNamespace(measured=[np.zeros(10)], window=np.full(10, True))
+    file, refit, made = ([SimpleNamespace(encoder=np.full(10, size)) for size in sizes]
+                         for sizes in ((100.0,) * 4, (1.0,) * 4, after))
+    data = SimpleNamespace(records=[record] * 4, sigma=np.array([0.01]))
+    assert missed_by_more(data, file, refit, made) == is_worse
+    one = SimpleNamespace(records=[record], sigma=np.array([0.01]))
+    assert not missed_by_more(one, file[:1], refit[:1], made[:1])

@@ -78,6 +78,8 @@ def test_an_accelerometer_that_is_logged_in_other_units_has_the_same_noise_in_th
     assert noise_of(logged[:-1]).sigmas[1] == pytest.approx(unit * noise_of(counts).sigmas[1])
     assert noise_of(logged[-1:]).sigmas[1] == pytest.approx(unit * noise_of([few]).sigmas[1])
     assert counts[0].step("accel") == counts[0].step("encoder") == logged[0].step("encoder") == 1.0
+    assert replace(few, accel=few.accel - 0.04).step("accel") == 1.0, "whole but for an offset that was taken off"
+    assert replace(few, accel=0.0 * few.accel + 0.04).step("accel") == 1.0
     read = np.random.default_rng(1).standard_normal(600)
     assert 0.0 < replace(few, accel=read).step("accel") < 1e-3 * np.ptp(read)
 
