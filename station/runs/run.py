@@ -258,9 +258,9 @@ class Run:
         return bool(said) and _whole(self.command[self.logged])
 
     def step(self, channel: str) -> float:
-        """Step of a sensor's readings, counts: the encoder's is 1, and the accelerometer's where they are a converter's,
-        whole but for an offset taken off; of a log in other units the least by which two differ, at least a millionth
-        of their range."""
+        """Step of a sensor's readings, counts: the encoder's is 1, and so is the accelerometer's where they are a
+        converter's, whole but for an offset taken off; of a log in other units the least by which two differ, at least
+        a millionth of their range."""
         read = self.accel[self.logged] if channel == "accel" and self.accel is not None else np.zeros(1)
         if _whole(read - read[:1]):
             return 1.0
