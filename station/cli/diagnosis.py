@@ -52,7 +52,7 @@ def diagnose(
         return
     print_diagnosis(result, console(), rig)
     if save_rig is not None and not result.diagnosis.causes:
-        say(f"{save_rig}: {nominal.name}, its constants re-fitted within their uncertainty; no effect was added")
+        say(f"{save_rig}: {nominal.name}, its constants re-fitted; no effect was added")
 
 
 def with_files(result: DiagnosisResult, read: Mapping[str, str]) -> DiagnosisResult:

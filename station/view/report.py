@@ -101,7 +101,7 @@ class _Page:
         self.residuals = residuals(result)
         self.diagnosis = wording.as_told(result)
         self.rig = result.rig
-        self.sentence = wording.verdict_sentence(self.diagnosis, result.rig)
+        self.sentence = wording.verdict_sentence(self.diagnosis, result.rig, wording.far_off(result))
         self.figures: dict[str, go.Figure] = {}
         self.hero = figures.hero_choice(result)
         if self.hero is not None:

@@ -23,7 +23,7 @@ def print_diagnosis(result: DiagnosisResult, console: Console, rig: str = "RIG")
     ``rig``: how the rig was named on the command line, for the next one.
     """
     found = wording.as_told(result)
-    console.print(_plain(wording.verdict_sentence(found, result.rig)), style="bold")
+    console.print(_plain(wording.verdict_sentence(found, result.rig, wording.far_off(result))), style="bold")
     for sentence in result.amiss:
         console.print(_plain(f"First: {sentence}."), style="yellow")
     if found.wrong:

@@ -315,6 +315,16 @@ def test_what_a_refit_strains_is_told_by_name() -> None:
     told = wording.strained(replace(result, rig=rig, constants=constants))
     assert told == ("Re-fitted, motor inertia is 32 % more (2.8 sigma) and motor gain is 20 % less (2.2 sigma) than "
                     "the rig file says.")
+    assert wording.far_off(replace(result, rig=rig, constants=constants)) == ""
+    moved = {path: one.model_copy(update={"value": 2.0 * one.value}) for path, one in constants.items()}
+    far = replace(result, rig=rig, constants=moved)
+    assert wording.far_off(far) == "motor inertia is 164 % more than the rig file says, 9.7 sigma"
+    lacks = Disturbance(nominal=0.2, refitted=0.004, extended=0.0)
+    missing = result.diagnosis.model_copy(update={"disturbance": lacks})
+    sentence = wording.verdict_sentence(missing, rig, wording.far_off(far))
+    assert ("wrong: with its constants re-fitted (motor inertia is 164 % more than the rig file says, 9.7 sigma) no "
+            "torque is missing") in sentence and "but little" not in sentence
+    assert wording.far_off(replace(result, rig=rig, constants={})) == ""
     cause = Cause(effect="parameter:motor.inertia", at="", probability=0.9, parameters={})
     said = result.diagnosis.model_copy(update={"causes": [cause]})
     assert "inertia" not in wording.strained(replace(result, rig=rig, constants=constants, diagnosis=said))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from station.diagnose.thresholds import BEYOND
 from station.estimation.cause import constant
 from station.estimation.identifiability import NORMAL
 from station.view.wording.names import CHANNELS, constant_title, joined
@@ -66,18 +67,31 @@ def _most_runs(result: DiagnosisResult, channel: str) -> str:
 def strained(result: DiagnosisResult) -> str:
     """The constants that a refit moves by more than 95 % of the rig file's own uncertainty, and that are no causes;
     empty where there are none."""
+    told = [f"{words} ({deviation:.1f} sigma)" for deviation, words in _moved(result) if deviation > NORMAL]
+    return f"Re-fitted, {joined(told)} than the rig file says." if told else ""
+
+
+def far_off(result: DiagnosisResult) -> str:
+    """The constant that a refit moves furthest, as a clause, where it is off by so much that it could be accused: what
+    follows it, or would have to, is another question; empty where none is."""
+    deviation, words = max(_moved(result), default=(0.0, ""))
+    return f"{words} than the rig file says, {deviation:.1f} sigma" if deviation > BEYOND else ""
+
+
+def _moved(result: DiagnosisResult) -> list[tuple[float, str]]:
+    """By how many sigmas of the rig file's a refit moves each constant that is no cause, and that in words; the
+    furthest first."""
     stated, named = result.rig.constants(), {cause.effect for cause in result.diagnosis.causes}
     paths = [path for path in result.constants if path in stated and constant(path)[0] not in named]
     sigmas = dict(zip(paths, np.sqrt(result.rig.log_covariance(paths).diagonal()), strict=True)) if paths else {}
     rows = []
     for path, sigma in sigmas.items():
         moved = math.log(result.constants[path].value / stated[path])
-        if abs(moved) > NORMAL * sigma > 0.0:
+        if sigma > 0.0:
             change = math.expm1(moved)
             rows.append((abs(moved) / sigma,
                          f"{constant_title(path)} is {percent(abs(change))} {'more' if change > 0.0 else 'less'}"))
-    told = [f"{words} ({deviation:.1f} sigma)" for deviation, words in sorted(rows, reverse=True)]
-    return f"Re-fitted, {joined(told)} than the rig file says." if told else ""
+    return sorted(rows, reverse=True)
 
 
 def gain_rows(result: DiagnosisResult) -> list[tuple[str, ChannelGain, float | None]]:

@@ -25,8 +25,11 @@ NONE = 0.005
 """Share below which none is told: it would be a nought of a percent."""
 
 
-def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
-    """The verdict for a student: one plain sentence, or two where something is certain and something is not."""
+def verdict_sentence(diagnosis: Diagnosis, rig: Rig, far_off: str = "") -> str:
+    """The verdict for a student: one plain sentence, or two where something is certain and something is not.
+
+    ``far_off``: the constant that a refit moves beyond belief, as a clause (``gain.far_off``).
+    """
     causes = diagnosis.causes
     if diagnosis.verdict in ("explained", "partly_explained") and causes:
         fraction = diagnosis.gain.explained_fraction
@@ -40,7 +43,7 @@ def verdict_sentence(diagnosis: Diagnosis, rig: Rig) -> str:
         said, missing = _ambiguous(diagnosis, rig), _missing(diagnosis)
         return f"{said} Whichever it is, {missing}." if missing else said
     if diagnosis.verdict == "unexplained" and diagnosis.disturbance is not None:
-        return _unexplained(diagnosis.disturbance.refitted, differing(diagnosis), _none_named(diagnosis))
+        return _unexplained(diagnosis.disturbance.refitted, differing(diagnosis), _none_named(diagnosis), far_off)
     return {"unexplained": f"The simulation gets something wrong, and {_none_named(diagnosis)}.",
             "nothing_missing": "Nothing is missing: the simulation agrees with these runs to within noise and "
                                "the rig's stated uncertainty.",
@@ -93,16 +96,17 @@ def _none_named(diagnosis: Diagnosis) -> str:
             f"{'does' if len(against) == 1 else 'do'} not help on runs that no fit has seen")
 
 
-def _unexplained(missing: float, differ: str, none_named: str) -> str:
+def _unexplained(missing: float, differ: str, none_named: str, far_off: str) -> str:
     """``missing``: torque, a share of the command's, that the re-fitted rig lacks; ``differ``: how runs do."""
     share = f"a torque of {percent(missing)} of the command's"
-    little = ", but little" if missing < SMALL and not differ else ""
+    little = ", but little" if missing < SMALL and not differ and not far_off else ""
     begin = f": {differ}. With that and" if differ else f"{little}: with"
     ends = (f"no torque is missing a few hundredths of a second ahead (less than {percent(NONE)} of the command's); "
             "what is left shows in whole runs alone." if missing < NONE else
             f"all that is left is {share}, which no law of the catalogue describes." if missing < SMALL else
             f"{share} is still missing, and {none_named}.")
-    return f"The simulation gets something wrong{begin} its constants re-fitted {ends}"
+    moved = f" ({far_off})" if far_off else ""
+    return f"The simulation gets something wrong{begin} its constants re-fitted{moved} {ends}"
 
 
 def _ambiguous(diagnosis: Diagnosis, rig: Rig) -> str:
