@@ -87,15 +87,18 @@ class Linearised:
                        gradient=self.gradient - change.slopes, kept=kept)
 
     def change(self, space: Parameters, x: np.ndarray) -> Change | None:
-        """What a hypothesis at ``x`` changes in the parent's predictions; None where it does not simulate."""
+        """What a hypothesis at ``x`` changes in the parent's predictions; None where it does not simulate, or runs away
+        so far that nothing can be worked out with it."""
         parent, predictor = self.parent, self.predictor
         assert parent.jacobian is not None
-        found = [(new - old) * predictor.scale(r) for r, (new, old) in
-                 enumerate(zip(predictor.runs(space, x, parent.own), parent.predicted, strict=True))]
-        if not all(np.all(np.isfinite(f)) for f in found):
-            return None
-        slopes = [(j.transpose(1, 0, 2) @ c[:, :, None])[..., 0] for j, c in zip(parent.jacobian, found, strict=True)]
-        return Change(found, _block_products(found, found), np.array(slopes))
+        with np.errstate(over="ignore", invalid="ignore"):
+            found = [(new - old) * predictor.scale(r) for r, (new, old) in
+                     enumerate(zip(predictor.runs(space, x, parent.own), parent.predicted, strict=True))]
+            squares = _block_products(found, found)
+            slopes = np.array([(j.transpose(1, 0, 2) @ c[:, :, None])[..., 0]
+                               for j, c in zip(parent.jacobian, found, strict=True)])
+            beyond = not np.isfinite(squares * squares).all() or not np.isfinite(slopes * slopes).all()
+        return None if beyond else Change(found, squares, slopes)
 
     def by_errors(self, change: Change) -> np.ndarray:
         """(runs, b) c'e."""

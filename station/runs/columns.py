@@ -85,8 +85,8 @@ def _missing(name: str, names: list[str]) -> str:
     if name != "reference":
         return said
     return (f'{said}; where no loop was closed, the metadata controller = {{"kind": "open"}} (of a CSV the line # '
-            'controller = {"kind": "open"}) make the command the reference; where one was closed and nobody knows it, a '
-            'reference of zeros will do')
+            'controller = {"kind": "open"}) make the command the reference; where one was closed and nobody '
+            'knows it, a reference of zeros will do')
 
 
 def place(row: int, first_line: int | None = None) -> str:

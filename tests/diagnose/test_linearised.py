@@ -16,6 +16,7 @@ from station.estimation.fitted import Fit
 from station.estimation.least_squares import fit
 from station.estimation.likelihood import cost
 from station.estimation.parameters import parameters
+from station.estimation.prediction import Predictor
 from station.rig import Rig
 from tests.estimation.made import predictions
 from tests.truth import RIGID_AXIS, make_case
@@ -120,3 +121,12 @@ def test_what_is_taken_out_by_the_parents_own_promises_nothing(known) -> None:
     assert gram[0, 0] <= prior * (1.0 + 1e-6)
     both = found.weighed.products([same, change])[0]
     assert np.allclose(both, both.T) and np.isclose(both[1, 1], found.weighed.products([change])[0][0, 0])
+
+
+@pytest.mark.parametrize("far", [np.nan, np.inf, 1e200, 1e100])
+def test_a_guess_that_runs_away_changes_nothing_and_warns_of_nothing(known: tuple[Linearised, Change], far: float,
+                                                                      monkeypatch: pytest.MonkeyPatch) -> None:
+    found = known[0]
+    monkeypatch.setattr(Predictor, "runs", lambda self, space, x, own: [0.0 * y + far for y in found.parent.predicted])
+    with np.errstate(all="raise"):
+        assert found.change(found.parent.space, found.parent.x) is None
