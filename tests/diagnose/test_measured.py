@@ -70,12 +70,12 @@ def test_the_arm_has_dry_friction() -> None:
 
 @pytest.mark.long
 def test_of_two_logs_alone_it_is_said_that_the_motor_does_more_in_one() -> None:
-    """By 28 %, between the arm's two groups of logs; no encoder's disc is so eccentric."""
+    """By 28 %, between the arm's two groups of logs; no encoder's disc is so eccentric.  That there is friction is as
+    probable; whether resamples enough name one side of the drive rounding decides."""
     runs = [load_run(measured_log(name)) for name in ("lead_accel", "pulse")]
     said = diagnose(load_rig("sflr"), runs, effort="quick").diagnosis
-    named = {cause.effect: cause for cause in said.causes}
-    friction = named["coulomb_friction"]
-    assert friction.probability > SURE and friction.stability > SURE and "encoder_eccentricity" not in named
+    friction = [row.probability for row in said.ranking if row.effect == "coulomb_friction"]
+    assert sum(friction) > SURE and "encoder_eccentricity" not in {cause.effect for cause in said.causes}
     assert said.between_runs is not None and said.between_runs.probability["share"] > SURE
 
 
