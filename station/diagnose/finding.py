@@ -49,7 +49,7 @@ def find(search: Selection) -> Finding:
     spoken = by_law(found)
     best = spoken.sets[0][0]
     first = _fitted(search, found, spoken, stated(spoken), best)
-    if first.said.one_of and not first.left.is_noise:
+    if not first.left.is_noise and first.said != Stated(best):      # some are not stated, or not by themselves
         return _fitted(search, found, spoken, stated(spoken, partial(collinear, search, best)), best)
     return first
 

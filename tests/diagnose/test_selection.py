@@ -217,6 +217,10 @@ def test_a_ripple_is_nearly_a_tilt_only_of_one_cycle_and_without_a_drive() -> No
     theirs = [effect_class(key[0]).law(one, 0.0, 0.0, list(tilt.values()), [], 1e-3) for one in x]
     np.testing.assert_allclose(theirs, 0.3 * np.sin(x + 1.0), atol=1e-12)
     assert not ripple.cases(AXIS, "motor", {**sizes, "cycles": 1.6})
+    late, ends = {"time": 0.003}, {"input_delay": "amplifier", "encoder_delay": "encoder"}
+    for name, other in (("input_delay", "encoder_delay"), ("encoder_delay", "input_delay")):
+        assert effect_class(name).cases(AXIS, ends[name], late) == {(other, ends[other]): late}
+        assert not effect_class(name).cases(load_rig("sflr"), ends[name], late)
     assert not ripple.cases(load_rig("sflr"), "motor", sizes)
 
 

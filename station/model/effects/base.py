@@ -224,8 +224,9 @@ class Effect(BaseModel):
 
     @classmethod
     def cases(cls, rig: Rig, at: str, values: dict[str, float]) -> dict[tuple[str, str], dict[str, float]]:
-        """Simpler laws, by (effect, place), against which this one must hold where it has these values, and the sizes
-        with which they come nearest to it; by default what it holds as special cases, at the same place."""
+        """Laws, by (effect, place), against which this one must hold where it has these values, simpler ones or such as
+        do the same, and the sizes with which they come nearest to it; by default what it holds as special cases, at the
+        same place."""
         return {(name, at): {own: values[of] for own, of in its.items()} for name, its in cls.simpler.items()}
 
     @classmethod
