@@ -44,7 +44,7 @@ def test_a_rigidity_that_varies_along_the_beam_is_the_same_in_both():
     found, exact = natural_frequencies(uneven)[1:5], continuous_frequencies(uneven, 100.0)
     np.testing.assert_allclose(found, exact, rtol=1e-3)
     assert np.abs(exact / continuous_frequencies(rig, 100.0) - 1.0).max() > 0.02
-    assert decibel_error(uneven, np.geomspace(0.05, 40.0, 500)).max() < 0.1
+    assert decibel_error(uneven, np.geomspace(0.05, 40.0, 150)).max() < 0.1
 
 
 def test_error_against_it_falls_with_the_fourth_power_of_element_length():
