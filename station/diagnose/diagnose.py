@@ -98,7 +98,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
                                partial(bought, search, said.causes), finding.odds.draws.error)
     told = told if finding.left.is_noise else with_outside(told)
     shown, rough = (nothing, nothing) if said.causes and not order else (best, finding.rough)
-    values, constants = estimates(shown, rough, judged.left_out)
+    values, constants = estimates(search.known(shown), rough, judged.left_out)
     causes = [Cause(effect=key[0], at=key[1], probability=told.causes[key], parameters=values[key],
                     stability=finding.by_law.stability.get(key, 0.0),
                     rivals=rivals(told, said.causes, key, known)) for key in order]

@@ -229,6 +229,18 @@ class Selection:
             self.found_by = self.weighing if noise else None
             self._weighed.clear()
 
+    def known(self, found: Fit) -> Fit:
+        """A fit as far as that tells of it by which sets are compared: errors that do not say which causes there are do
+        not say how well their sizes are known, either.
+
+        The longer a run is simulated, the finer it tells where in a wave or a gap it is, and the less a derivative
+        there holds for what is a little further on.
+        """
+        if self.judging is None or self.found_by is not None:
+            return found
+        counts = self.judging.independent > 0.0
+        return replace(found, weighing=replace(found.weighing, independent=found.weighing.independent * counts))
+
     @property
     def reading(self) -> tuple[Causes, bool]:
         """The set that the weighing was read off, and whether that left nothing but noise."""

@@ -92,6 +92,22 @@ def test_where_only_noise_is_left_that_runs_differ_costs_what_a_cause_does_and_a
     assert search.own_weighing(easy).differ == (0.0, 0.0)
 
 
+def test_a_size_is_known_by_what_compares_sets() -> None:
+    """Where whole runs compare none a fit knows its sizes by the short horizon, as well as that tells them."""
+    predictor = predictions(AXIS, runs_of(AXIS))
+    search = Selection(predictor, EFFORTS["quick"], Weighing(0.02 * predictor.counts, 1.0))
+    space = parameters(predictor.data, Hypothesis((FRICTION,)), {("coulomb_friction", "motor"): {"torque": 0.02}})
+    fitted = fit(predictor, space, search.weighing, space.mean, predictor.data.own, iterations=2)
+    assert search.known(fitted) is fitted
+    search.judging = Weighing(0.02 * predictor.counts * predictor.ahead, 1.0)
+    known, [place] = search.known(fitted), range(space.size)[space.parts["effects"]]
+    assert np.all(known.x == fitted.x) and known.covariance[place, place] > 1.01 * fitted.covariance[place, place]
+    quick = replace(fitted.weighing, independent=fitted.weighing.independent * ~predictor.longest)
+    np.testing.assert_allclose(known.covariance, replace(fitted, weighing=quick).covariance, rtol=1e-9)
+    search.found_by = search.weighing
+    assert search.known(fitted) is fitted, "whole runs alone compare, and all say where parameters are"
+
+
 def test_clocks_that_disagree_speak_against_every_set_that_leaves_the_boards_clock_right() -> None:
     """One that is off may be so by any ratio of its prior: what was read is one of many."""
     search, ratio = searching((1.004, 0.001)), math.log(1.004)
