@@ -25,13 +25,14 @@ from station.diagnose.result import Disturbance
 from station.estimation.fitted import Fit
 from station.estimation.observer import torque_gains
 from station.estimation.prediction import Predictor, built, in_motion, predict_run
+from station.model.effects.base import SHOWN
 
 CELLS = 8192
 """Of the travel."""
 FINER = 8
 """Steps of n in which another half wave fits into the travel."""
-WAVES = 2.0
-"""Fewest waves in the travel: of fewer the usual ones are near enough, and what bends slowly is no wave."""
+LONGEST = 2.0
+"""Waves in the travel, at least: of fewer the usual ones are near enough, and what bends slowly is no wave."""
 FEWEST = 50
 """Rows that a run must turn one way."""
 TURNING = 9
@@ -70,7 +71,8 @@ def disturbance(predictor: Predictor, fits: Sequence[Fit]) -> Disturbance:
 
 
 def waves(predictor: Predictor, found: Fit, most: int) -> list[float]:
-    """How often per turn the torque that a fit misses repeats itself: the ``most`` highest peaks, the highest first."""
+    """How often per turn the torque that a fit misses repeats itself: the ``most`` highest peaks, the highest first, as
+    far as the encoder shows them."""
     runs, records = predictor.data.runs, predictor.data.records
     angles = [run.encoder[record.window] * predictor.data.rig.angle_per_count
               for run, record in zip(runs, records, strict=True)]
@@ -87,7 +89,9 @@ def waves(predictor: Predictor, found: Fit, most: int) -> list[float]:
                 power += _periodogram(cell[rows], torque[rows])
     per_step = np.pi / (FINER * travel)     # rad^-1, of the transform of 2 CELLS FINER cells
     peaks = scipy.signal.find_peaks(power)[0]
-    peaks = peaks[peaks * per_step >= 2.0 * np.pi * WAVES / travel]
+    waves_per_turn = per_step * peaks
+    peaks = peaks[(waves_per_turn >= 2.0 * np.pi * LONGEST / travel)
+                  & (waves_per_turn <= SHOWN * predictor.data.rig.encoder.counts_per_revolution)]
     return [float(n) for n in per_step * peaks[np.argsort(-power[peaks], kind="stable")][:most]]
 
 

@@ -34,7 +34,7 @@ from station.model.effects import Stage, effect_class
 
 QUICK_STEPS = 8
 """Steps of the fits by which further causes are tried, with derivatives of the parent."""
-WAVES = 3
+PEAKS = 3
 """Peaks of the missing torque's spectrum over the angle that are tried as a ripple's waves per turn."""
 RUNGS = 3
 """Causes in a set from which on nothing is added to it; a pair on top of the set before may hold one more."""
@@ -320,8 +320,8 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], far: list[Star
     def told(text: str, share: float) -> None:
         progress(text, begin + (end - begin) * share)
 
-    wavy = [c for c in pool if c.effect and c.effect.waves]
-    seen = waves(search.all_horizons, parent, WAVES) if wavy else []
+    wavy = [c for c in pool if c.effect and c.effect.waves and c.guesses]
+    seen = waves(search.all_horizons, parent, PEAKS) if wavy else []
     screened, pairs, exchanges = screen(predictor, parent, [*pool, *(c.repeating(seen) for c in wavy)])
     grows = rung < RUNGS
     content = (effort.content and rung > 0 and remainder(predictor, parent).is_noise

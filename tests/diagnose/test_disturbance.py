@@ -10,7 +10,7 @@ import pytest
 
 from station.diagnose.candidates import candidates
 from station.diagnose.diagnose import diagnose
-from station.diagnose.disturbance import WAVES, waves
+from station.diagnose.disturbance import LONGEST, waves
 from station.estimation.constants import base_fit
 from station.estimation.least_squares import fit
 from station.estimation.likelihood import Weighing
@@ -55,7 +55,7 @@ def test_a_ripples_waves_stand_out_of_the_missing_torque(friction: float) -> Non
     found = waves(predictor, base_fit(predictor), 3)
     travel = 0.3
     assert len(found) == 3 and found[0] == pytest.approx(math.tau / PITCH, abs=0.5 * math.pi / travel)
-    assert min(found) >= math.tau * WAVES / travel
+    assert min(found) >= math.tau * LONGEST / travel
 
 
 def test_a_run_that_never_moves_has_no_waves() -> None:
@@ -65,6 +65,16 @@ def test_a_run_that_never_moves_has_no_waves() -> None:
     space = parameters(predictor.data, Hypothesis(), {})
     nothing = fit(predictor, space, Weighing(np.ones((2, len(predictor.channel))), 1.0), space.mean)
     assert waves(predictor, nothing, 3) == []
+
+
+def test_waves_that_the_encoder_does_not_show_are_none() -> None:
+    """Ten counts to each: below that it shows its own counts."""
+    coarse = LINEAR.with_constants({"encoder.counts_per_revolution": 500.0 * math.tau})
+    runs = [replace(run, encoder=np.floor(run.encoder / 400.0 + 0.5), reference=run.reference / 400.0)
+            for run in runs_of(4.0, 4.0)]
+    predictor = predictions(coarse, runs)
+    found = waves(predictor, base_fit(predictor), 50)
+    assert found and max(found) <= 50.0 * math.tau
 
 
 def test_guesses_of_waves_stay_within_the_law() -> None:

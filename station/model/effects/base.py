@@ -303,6 +303,10 @@ def _problems(cls: type[Effect]) -> Iterator[str]:
         yield "no guesses, the sizes from which a fit starts"
 
 
+SHOWN = 0.1
+"""Most waves per count that an encoder shows: ten counts to each."""
+
+
 def torque_scale(rig: Rig) -> float:
     """The motor's largest torque, N m."""
     return abs(rig.motor.gain) * rig.amplifier.limit

@@ -3,7 +3,7 @@
 import math
 from typing import ClassVar
 
-from station.model.effects.base import Effect, Stage, parameter, torque_scale
+from station.model.effects.base import SHOWN, Effect, Stage, parameter, torque_scale
 
 CYCLES = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 14.0, 16.0, 20.0, 24.0, 30.0, 36.0, 42.0, 48.0, 50.0,
           60.0, 72.0, 84.0, 100.0, 120.0, 144.0, 168.0, 200.0, *(2.0 * math.pi / lead for lead in
@@ -11,8 +11,6 @@ CYCLES = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0, 12.0, 14.0, 16.0, 20.0, 
 """Per turn: eccentricity, poles, commutation; from 12 on also common multiples of slots and poles, by which a motor
 cogs (12 and 14: 84), and the 50 teeth of a stepping motor, four steps each; of an axis in metres the turns of a ball
 screw of one of the preferred leads, 40 to 2.5 mm (ISO 3408-2)."""
-SHOWN = 0.1
-"""Most cycles per count that an encoder shows: ten counts to each."""
 
 
 def torque(x, v, w, p, s, h):
