@@ -28,12 +28,11 @@ def collinear(search: Selection, best: Causes, cause: Key) -> frozenset[Key]:
 
 def _alike(search: Selection, best: Causes, cause: Key, other: Key) -> bool:
     """Whether one does what the other does, beside as much of the rest of a set as both were fitted with."""
-    fits, rest = search.fits, best - {cause}
-    beside = max((keys - {other} for keys in fits if other in keys and keys - {other} <= rest
-                  and keys - {other} in fits and keys - {other} | {cause} in fits), key=lambda keys: (len(keys),
-                                                                                         sorted(keys)), default=None)
-    if beside is None:
+    fits = search.fits
+    fitted = [rest for rest in fits if rest <= best - {cause} and {rest | {cause}, rest | {other}} <= fits.keys()]
+    if not fitted:
         return False
+    beside = max(fitted, key=lambda rest: (len(rest), sorted(rest)))
     mine, its, without = (fits[keys] for keys in (beside | {cause}, beside | {other}, beside))
     return _distance(search, mine, its) < TOLERANCE * _distance(search, mine, without)
 

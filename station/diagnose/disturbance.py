@@ -19,13 +19,13 @@ from collections.abc import Sequence
 import numpy as np
 import scipy.fft
 import scipy.ndimage
-import scipy.signal
 
 from station.diagnose.result import Disturbance
 from station.estimation.fitted import Fit
 from station.estimation.observer import torque_gains
 from station.estimation.prediction import Predictor, built, in_motion, predict_run
 from station.model.effects.base import SHOWN
+from station.model.simulate import Model
 
 CELLS = 8192
 """Of the travel."""
@@ -39,14 +39,12 @@ TURNING = 9
 """Rows over which a speed is taken."""
 
 
-def _missing(predictor: Predictor, found: Fit) -> tuple[list[np.ndarray], tuple[float, float]]:
-    """The torque of every run in the rows that count (counts of command), as the quickest observer shows it; of a
-    torque the share that it shows, and what it makes of the encoder's noise (``torque_gains``)."""
-    data, quickest, space, x = predictor.data, predictor.observers[:1], found.space, found.x
-    model = built(space.rig_at(x))
-    torques = [predict_run(data, model, quickest, r, found.own[r], zero=space.zero(x, record.zero_group),
-                           place=space.place(x, r))[1][0][record.window] for r, record in enumerate(data.records)]
-    return torques, torque_gains(quickest[0], model, in_motion(data, model))
+def _missing(predictor: Predictor, found: Fit, model: Model) -> list[np.ndarray]:
+    """The torque of every run in the rows that count (counts of command), as the quickest observer shows it; ``model``:
+    of the fit."""
+    data, space, x = predictor.data, found.space, found.x
+    return [predict_run(data, model, predictor.observers[:1], r, found.own[r], zero=space.zero(x, record.zero_group),
+                        place=space.place(x, r))[1][0][record.window] for r, record in enumerate(data.records)]
 
 
 def disturbance(predictor: Predictor, fits: Sequence[Fit]) -> Disturbance:
@@ -59,9 +57,9 @@ def disturbance(predictor: Predictor, fits: Sequence[Fit]) -> Disturbance:
     data = predictor.data
 
     def share(one: Fit) -> float:
-        torques, (shown, noise) = _missing(predictor, one)
-        missing, command = 0.0, 0.0
-        for torque, run, record in zip(torques, data.runs, data.records, strict=True):
+        model, missing, command = built(one.space.rig_at(one.x)), 0.0, 0.0
+        shown, noise = torque_gains(predictor.observers[0], model, in_motion(data, model))
+        for torque, run, record in zip(_missing(predictor, one, model), data.runs, data.records, strict=True):
             given = run.command[record.window]
             missing += float(torque @ torque) - noise * float(data.sigma[0] ** 2) * len(torque)
             command += float(given @ given)
@@ -79,8 +77,8 @@ def waves(predictor: Predictor, found: Fit, most: int) -> list[float]:
     travel = max(float(np.ptp(angle)) for angle in angles)
     if not travel > 0.0:
         return []
-    power = np.zeros(CELLS * FINER + 1)
-    for torque, angle in zip(_missing(predictor, found)[0], angles, strict=True):
+    model, power = built(found.space.rig_at(found.x)), np.zeros(CELLS * FINER + 1)
+    for torque, angle in zip(_missing(predictor, found, model), angles, strict=True):
         way = np.sign(scipy.ndimage.uniform_filter1d(np.gradient(angle), TURNING))
         cell = np.minimum((angle - angle.min()) * (CELLS / travel), CELLS - 1).astype(int)
         for turning in (-1.0, 1.0):
@@ -88,7 +86,7 @@ def waves(predictor: Predictor, found: Fit, most: int) -> list[float]:
             if np.count_nonzero(rows) >= FEWEST:
                 power += _periodogram(cell[rows], torque[rows])
     per_step = np.pi / (FINER * travel)     # rad^-1, of the transform of 2 CELLS FINER cells
-    peaks = scipy.signal.find_peaks(power)[0]
+    peaks = 1 + np.flatnonzero((power[1:-1] > power[:-2]) & (power[1:-1] > power[2:]))
     waves_per_turn = per_step * peaks
     peaks = peaks[(waves_per_turn >= 2.0 * np.pi * LONGEST / travel)
                   & (waves_per_turn <= SHOWN * predictor.data.rig.encoder.counts_per_revolution)]

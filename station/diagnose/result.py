@@ -16,13 +16,14 @@ from station.diagnose.measures import nrmse
 from station.estimation.identifiability import State
 from station.model.simulate import Simulation
 from station.rig import Rig
+from station.runs.columns import SENSORS
 from station.runs.run import Run
 
 if TYPE_CHECKING:
     from station.pictures.picture import Evidence
 
 Channel = Literal["encoder", "accel"]
-CHANNELS: tuple[Channel, ...] = ("encoder", "accel")
+CHANNELS: tuple[Channel, ...] = SENSORS
 Share = Annotated[float, AfterValidator(lambda share: min(share, 1.0))]
 """At most 1, which a sum of shares may exceed by its rounding errors."""
 Verdict = Literal["explained", "partly_explained", "unexplained", "nothing_missing", "ambiguous", "not_enough_data"]

@@ -40,6 +40,9 @@ UNSEEN = 1.0
 """Standard errors by which runs left out must be met better with causes than without, where more than noise is left: of
 rules that predict alike within the error of the comparison the simpler one is taken (Hastie, Tibshirani and Friedman,
 The Elements of Statistical Learning, 2nd ed. 2009, section 7.10)."""
+WORSE = 0.95
+"""Level at which runs left out are met worse with causes than by re-fitted constants alone (Student's test of pairs,
+one-sided): that of all intervals."""
 FEW = 3
 """Runs below which even a settled verdict asks for another test."""
 PATIENCE = FEW + 1

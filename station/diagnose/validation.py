@@ -12,7 +12,7 @@ from scipy.special import stdtrit
 
 from station.diagnose.measures import floor, nrmse, repeats, step_figures
 from station.diagnose.result import CHANNELS, ChannelGain, Gain, RunComparison, RunGain
-from station.diagnose.thresholds import EXPLAINABLE, UNSEEN
+from station.diagnose.thresholds import EXPLAINABLE, UNSEEN, WORSE
 from station.estimation.dataset import Dataset
 from station.estimation.fitted import Fit
 from station.estimation.least_squares import DIVERGED, STEP, correct, fit, own_steps
@@ -288,7 +288,7 @@ def contradicted(gains: np.ndarray, informed: np.ndarray, relieved: float) -> bo
 def missed_by_more(data: Dataset, before: Sequence[Simulation], refit: Sequence[Simulation],
                    after: Sequence[Simulation]) -> bool:
     """Whether simulations miss the angles of the runs by more, by the geometric mean over runs, than those before did,
-    or than the re-fitted rig's do beyond what differs from run to run (Student's test of pairs, 95 %, one-sided): a rig
+    or than the re-fitted rig's do beyond what differs from run to run (Student's test of pairs, WORSE): a rig
     that goes further astray is no better, however well it predicts a little ahead.
 
     As errors of unknown size are counted (``likelihood.rho``): by the logarithm of their mean square, in units of the
@@ -302,7 +302,7 @@ def missed_by_more(data: Dataset, before: Sequence[Simulation], refit: Sequence[
     if not new.sum() <= old.sum():      # what is no number is no better
         return True
     more, runs = new - middle, len(new)
-    return runs > 1 and bool(np.mean(more) > stdtrit(runs - 1, 0.95) * np.std(more, ddof=1) / math.sqrt(runs))
+    return runs > 1 and bool(np.mean(more) > stdtrit(runs - 1, WORSE) * np.std(more, ddof=1) / math.sqrt(runs))
 
 
 def _loops_step(c: RunComparison, made: Simulation) -> dict[str, float | None]:

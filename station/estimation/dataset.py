@@ -18,7 +18,7 @@ from station.estimation.observer import Observer, observers
 from station.model.effects import USUAL_SPEED
 from station.model.simulate import Simulation, build, simulate_model
 from station.rig import PROFILE, Rig
-from station.runs.columns import place
+from station.runs.columns import SENSORS, place
 from station.runs.rollover import rollover, rollover_fault
 from station.runs.run import Run, RunMetadata
 from station.runs.ticks import CLOCKS
@@ -47,7 +47,6 @@ RIGIDITY = 0.03
 """Sigma of each harmonic of a beam's rigidity along its length, where the rig file says nothing: the cube of a
 thickness that varies by a percent (of cold rolled strip several are allowed: EN 10140), or a sensor's cable along it.
 """
-SENSORS = ("encoder", "accel")
 UNROUNDED = 0.3
 """Noise of a sensor, steps of its readings, from which on rounding errors are independent from sample to sample
 (Widrow)."""
@@ -227,7 +226,7 @@ class Dataset:
         middle = np.concatenate([0.5 * (run.encoder[rows:] + run.encoder[:-rows]) for run in self.runs])
         return np.stack([middle[at], moved[at] / rows * self.rig.sample_rate], axis=1) * self.rig.angle_per_count
 
-    @property
+    @cached_property
     def sigma(self) -> np.ndarray:
         """(c) standard deviation of a reading, rounding included, counts."""
         steps = np.array([1.0, accel_step(self.runs)])

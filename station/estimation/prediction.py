@@ -60,9 +60,8 @@ def _predict(plan, fresh, state, gain, torque_gain, late, decay, logs, own, acce
             accels = blocks * logs.first[run] + accel_at[horizon] * rows
             for i in range(rows):
                 row = logs.first[run] + i
-                by_finder = logs.finding[row] and torque_gain[horizon] == 0.0
-                used = horizons if by_finder else horizon
-                if i > 0 and logs.finding[row - 1] and not logs.finding[row] and torque_gain[horizon] == 0.0:
+                used = horizons if logs.finding[row] and torque_gain[horizon] == 0.0 else horizon
+                if torque_gain[used] == 0.0:
                     d = 0.0
                 if plain:
                     encoder, accel = sense_plain(plan, state, own[run, 1])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -28,6 +29,7 @@ class Column:
     gaps: bool = False
 
 
+SENSORS: Final = ("encoder", "accel")
 COLUMNS = (
     Column("t", "s", "index / sample_rate", required=True),
     Column("reference", "counts", "what the arm is asked to do", required=True),

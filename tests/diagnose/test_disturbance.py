@@ -15,37 +15,35 @@ from station.estimation.constants import base_fit
 from station.estimation.least_squares import fit
 from station.estimation.likelihood import Weighing
 from station.estimation.parameters import Hypothesis, parameters
-from station.model.effects import effect_class
 from station.model.effects.torque_ripple import TorqueRipple
-from station.model.simulate import simulate
 from station.rig import Rig
 from station.runs.run import Run, RunMetadata
 from tests.estimation.made import predictions
+from tests.truth.simulate import Truth
 
-LINEAR = Rig.model_validate({
+NOMINAL = {
     "name": "linear", "sample_rate": 1000.0, "amplifier": {"limit": 2000.0},
     "motor": {"inertia": 2.4, "damping": 30.0, "gain": 0.1},
-    "encoder": {"counts_per_revolution": 2e5 * math.tau}, "uncertainty": {"default": 0.05}})
+    "encoder": {"counts_per_revolution": 2e5 * math.tau}, "uncertainty": {"default": 0.05}}
+LINEAR = Rig.model_validate(NOMINAL)
 """A linear motor, m for rad, whose scale reads 5 um."""
-PITCH = 0.0317
-"""m: of no ball screw's lead."""
+PITCH, PHASE = 0.0317, 0.7
+"""m, of no ball screw's lead; rad."""
 
 
-def runs_of(amplitude: float, friction: float, cut: int = 0) -> list[Run]:
-    """Moves under P control whose controller the log does not name, of an axis 4 % too heavy; N."""
-    law = {"amplitude": amplitude, "cycles": math.tau / PITCH, "phase": 0.7}
-    true = LINEAR.with_constants({"motor.inertia": 1.04 * LINEAR.motor.inertia}).with_effects(
-        [TorqueRipple(at="motor", **law), effect_class("coulomb_friction")(at="motor", torque=friction)])
+def runs_of(amplitude: float, friction: float) -> list[Run]:
+    """Moves by the independent generator, under a controller that the log does not name, of an axis 4 % too heavy; N.
+    """
+    heavy = {"effect": "parameter:motor.inertia", "value": 1.04 * LINEAR.motor.inertia}
+    ripple = {"effect": "torque_ripple", "at": "motor", "amplitude": amplitude, "cycles": math.tau / PITCH,
+              "phase": PHASE}
+    truth = Truth(NOMINAL, [heavy, ripple, {"effect": "coulomb_friction", "at": "motor", "torque": friction}])
     t = np.arange(3000) / LINEAR.sample_rate
     runs = []
     for name, size, rate in (("slow", 0.10, 0.35), ("middle", 0.12, 0.7), ("fast", 0.15, 1.3)):
         reference = np.round(2e5 * size * np.sin(math.tau * rate * np.maximum(t - 0.2, 0.0)))
-        zero = np.zeros(len(t))
-        asked = Run(name, t, reference, zero, zero, None, RunMetadata(
-            controller={"kind": "cascade", "position_gain": 30.0, "speed_gain": 0.005}, zero_id="scale"))
-        made = simulate(true, asked)
-        run = Run(name, t, reference, made.command, made.encoder, None, RunMetadata(zero_id="scale")).slice(cut)
-        runs.append(replace(run, t=run.t - run.t[0]))
+        made = truth.run(reference, {"kind": "cascade", "position_gain": 30.0, "speed_gain": 0.005})
+        runs.append(Run(name, t, reference, made.command, made.encoder, None, RunMetadata(zero_id="scale")))
     return runs
 
 
@@ -91,4 +89,5 @@ def test_cogging_of_any_pitch_is_named_beside_friction() -> None:
     ripple = causes["torque_ripple"]
     assert ripple["cycles"].value == pytest.approx(math.tau / PITCH, rel=0.01)
     assert ripple["amplitude"].value == pytest.approx(4.0, rel=0.1)
+    assert ripple["phase"].value == pytest.approx(PHASE, abs=0.3)
     assert causes["coulomb_friction"]["torque"].value == pytest.approx(4.0, rel=0.15)

@@ -19,6 +19,7 @@ from station.view.wording.remains import leaves_noise
 if TYPE_CHECKING:
     from station.diagnose.result import ChannelGain, Diagnosis, DiagnosisResult
 
+
 def gone(diagnosis: Diagnosis) -> str:
     """How much of the error above the noise the causes take away on unseen runs, as a clause; empty where nothing says.
 
@@ -72,9 +73,9 @@ def strained(result: DiagnosisResult) -> str:
 
 
 def far_off(result: DiagnosisResult) -> str:
-    """The constant that a refit moves furthest, as a clause, where it is off by so much that it could be accused: what
-    follows it, or would have to, is another question; empty where none is."""
-    deviation, words = max(_moved(result), default=(0.0, ""))
+    """The constant that a refit moves furthest, as a clause, where that is so far that it could be accused; empty where
+    none is."""
+    deviation, words = next(iter(_moved(result)), (0.0, ""))
     return f"{words} than the rig file says, {deviation:.1f} sigma" if deviation > BEYOND else ""
 
 
