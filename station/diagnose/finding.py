@@ -89,7 +89,7 @@ def between_runs(search: Selection, finding: Finding) -> BetweenRuns:
                                         strict=True):
         stability = float(np.mean(2.0 * one.log_odds > VARIES))
         if one.gained > VARIES and stability >= STABLE and shared(of) < VARIES:
-            setattr(found, name, one.size)
+            setattr(found, name, max(one.size, float(np.sqrt(np.mean(np.square(of))))))     # beyond the largest tried
             found.probability[name] = (1.0 - finding.outside) * float(
                 np.mean(expit(one.log_odds[-RESAMPLES:] + narrowing + LOG_PRIOR)))
             found.stability[name] = stability

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from station.diagnose.thresholds import OWN_COMMANDS
 from station.errors import StationError
 from station.model.simulate import limit_of
 from station.rig import Rig
-from station.runs.replay import compensator_of, replay_commands
+from station.runs.replay import LIKELY_ROWS, OTHER_ROW, compensator_of, replay_commands
 from station.runs.run import Run
 
 
@@ -21,9 +22,16 @@ def as_logged(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
     """The runs, and a sentence for each thing that is not as it is said.
 
     A controller that is not the one that gave the commands is taken for unknown: closed again by it, a loop would do
-    what no test did.
+    what no test did.  Which row's readings a command came from is taken as the commands have it, if they fit one
+    row's and not the stated one's: closed again with another delay, it is another loop.
     """
     limit, said = rig.amplifier.limit, []
+    rows = {run.name: row for run in runs if (row := own_row(rig, run)) != run.metadata.command_row}
+    if rows:
+        stated = next(run.metadata.command_row for run in runs if run.name in rows)
+        said.append(f"{_most(dict.fromkeys(rows, 1.0))}: commands are the controller's of command_row "
+                    f"{next(iter(rows.values()))}, which is taken, and the log says {stated}")
+        runs = [_told(run, command_row=rows[run.name]) if run.name in rows else run for run in runs]
     beyond = {run.name: reached for run in runs
               if (reached := float(np.max(np.abs(run.command)))) > math.floor(limit + 0.5)}
     shares = [off_by(rig, run) for run in runs]
@@ -35,15 +43,29 @@ def as_logged(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
         said.append(f"{_most(away)}: commands are not those of the controller that the log names (off by "
                     f"{100.0 * max(away.values()):.0f} % of their rms; station replay shows where), which is taken for "
                     "unknown")
-    unknown = {"controller": {"kind": "unknown"}}
-    return [replace(run, metadata=run.metadata.model_copy(update=unknown)) if share > OWN_COMMANDS else run
+    return [_told(run, controller={"kind": "unknown"}) if share > OWN_COMMANDS else run
             for run, share in zip(runs, shares, strict=True)], said
+
+
+def _told(run: Run, **metadata: Any) -> Run:
+    return replace(run, metadata=run.metadata.model_copy(update=metadata))
 
 
 def _most(shares: Mapping[str, float]) -> str:
     """The run of the largest, and how many others there are."""
     name = max(sorted(shares), key=shares.__getitem__)
     return name + (f" and {len(shares) - 1} more" if len(shares) > 1 else "")
+
+
+def own_row(rig: Rig, run: Run) -> int:
+    """The ``command_row`` of which a run's commands are: the stated one, unless another (0, -1 or -2) leaves less than
+    OTHER_ROW of what they miss by that."""
+    stated = off_by(rig, run)
+    if stated == 0.0:
+        return run.metadata.command_row
+    others = {row: off_by(rig, _told(run, command_row=row)) for row in LIKELY_ROWS if row != run.metadata.command_row}
+    best = min(others, key=others.__getitem__)
+    return best if others[best] < OTHER_ROW * stated else run.metadata.command_row
 
 
 def off_by(rig: Rig, run: Run) -> float:

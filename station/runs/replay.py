@@ -16,6 +16,10 @@ from station.errors import UsageError, WorkError
 from station.runs.run import Run
 
 SHAPED = "reference_shaped"
+LIKELY_ROWS = (0, -1, -2)
+"""``command_row`` that a log may have where it states another one."""
+OTHER_ROW = 0.1
+"""Share of what commands miss by the stated ``command_row`` below which they are another one's."""
 _AFTER_ACCEL_LOOP = ("gain", "zero", "pole", "rounding")
 
 
@@ -118,10 +122,10 @@ def _note(run: Run, commands: np.ndarray, beyond: np.ndarray, limit: float, shap
     if run.status is not None and np.all(run.status[beyond] != run.status[0]):
         return f"the device reports another status wherever they differ, from row {first} on: late or held ticks"
     left = float(np.sum(np.abs(commands - run.command)))
-    for row in range(0, -3, -1):
+    for row in LIKELY_ROWS:
         if row != run.metadata.command_row and run.metadata.controller.get("kind") != "open":
             other = _with(run, command_row=row)
-            if float(np.sum(np.abs(replay_commands(other, limit, shaped=shaped) - run.command))) < 0.1 * left:
+            if float(np.sum(np.abs(replay_commands(other, limit, shaped=shaped) - run.command))) < OTHER_ROW * left:
                 return f"they fit command_row {row}, the metadata say {run.metadata.command_row}"
     if not shaped and SHAPED in run.extra:
         return f"from row {first} on; replay from {SHAPED} tells whether the accelerometer loop's digits do it"

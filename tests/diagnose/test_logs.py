@@ -43,6 +43,22 @@ def test_commands_of_another_controller_make_it_unknown() -> None:
     assert "and 1 more" in sentence and "station replay" in sentence
 
 
+@pytest.mark.parametrize("true", [0, -2])
+def test_the_row_whose_readings_commands_are_of_is_taken_as_they_have_it(true: int) -> None:
+    """Most logs of other programs do not say it, and a loop that is closed a tick too late is another loop."""
+    def of_row(run: Run, row: int) -> Run:
+        return replace(run, metadata=run.metadata.model_copy(update={"command_row": row}))
+    runs = [of_row(run, true) for run in CLOSED]
+    made = [simulate(AXIS, run) for run in runs]
+    runs = [replace(run, command=one.command, encoder=np.round(one.encoder))
+            for run, one in zip(runs, made, strict=True)]
+    assert [run.metadata.command_row for run in as_logged(AXIS, runs)[0]] == [true, true]
+    found, (sentence,) = as_logged(AXIS, [of_row(run, -1) for run in runs])
+    assert [run.metadata.command_row for run in found] == [true, true]
+    assert f"and 1 more: commands are the controller's of command_row {true}" in sentence
+    assert as_logged(AXIS, runs) == (runs, [])
+
+
 def in_volts(run: Run, per_volt: float = 20.0) -> Run:
     """The run of a lab whose commands are volts, with three decimals, by a loop whose gain is in volts per count."""
     run = of(run, gain=run.metadata.controller["gain"] / per_volt)
