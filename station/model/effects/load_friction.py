@@ -18,7 +18,8 @@ class LoadFriction(Effect):
     Passault et al., Extended Friction Models for the Physics Simulation of Servo Actuators, 2024, model M3).  Motor
     torque is motor.gain times the command that acts, less the back-EMF (motor.back_emf of motor.damping, times
     speed), and what acts at the motor (ripple, drag); external torque is what acts at the base (gravity, cable, drag)
-    and the torque of a beam.  Dry friction is no load.
+    and the torque of a beam.  A motor that holds a weight with 0.3 N m so has a load of 0.6 N m.  Dry friction is no
+    load.
     """
 
     name, title = "load_friction", "load-dependent friction"
