@@ -5,17 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from station.control.compensators import commanded
 from station.diagnose.thresholds import OWN_COMMANDS
 from station.errors import StationError
+from station.estimation.noise import QUANTISATION
 from station.model.simulate import limit_of
 from station.rig import Rig
 from station.runs.replay import LIKELY_ROWS, OTHER_ROW, compensator_of, replay_commands
 from station.runs.run import Run
+
+HALF = 0.5
+"""Counts by which a command may be another one that was rounded."""
+ROUNDS, STEP = 3, 0.01
+"""In which what commands were before that is found, and how far derivatives of it reach, counts."""
 
 
 def as_logged(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
@@ -59,20 +67,21 @@ def _most(shares: Mapping[str, float]) -> str:
 
 def own_row(rig: Rig, run: Run) -> int:
     """The ``command_row`` of which a run's commands are: the stated one, unless another (0, -1 or -2) leaves less than
-    OTHER_ROW of what they miss by that."""
-    stated = off_by(rig, run)
-    if stated == 0.0:
-        return run.metadata.command_row
-    others = {row: off_by(rig, _told(run, command_row=row)) for row in LIKELY_ROWS if row != run.metadata.command_row}
+    OTHER_ROW of what they miss by that, and that is more than rounding."""
+    stated, row = off_by(rig, run), run.metadata.command_row
+    if stated * _rms(run.command) <= math.sqrt(QUANTISATION):
+        return row
+    others = {other: off_by(rig, _told(run, command_row=other)) for other in LIKELY_ROWS if other != row}
     best = min(others, key=others.__getitem__)
-    return best if others[best] < OTHER_ROW * stated else run.metadata.command_row
+    return best if others[best] < OTHER_ROW * stated else row
 
 
 def off_by(rig: Rig, run: Run) -> float:
     """By which share of their rms a run's commands are not its controller's; 0 where that cannot be worked out.
 
     What it remembers when the log begins, or goes on after a gap over which nobody knows what it read, is taken from
-    the log: those rows say nothing of it.  What an accelerometer's loop remembers no log says.
+    the log: those rows say nothing of it.  What an accelerometer's loop remembers no log says.  Commands were rounded,
+    and what it remembers was not: an integral keeps the difference for good, so it is what suits the log best.
     """
     if run.open_loop or commanded(run.metadata.controller):
         return 0.0
@@ -82,12 +91,43 @@ def off_by(rig: Rig, run: Run) -> float:
         memory = compensator.memory - run.metadata.command_row
         if compensator.accel_denominator.size:
             told = np.logical_or.accumulate(told | bool(run.command[:memory].any()))
-        for first in [0, *(np.flatnonzero(np.diff(told.astype(int)) < 0) + 1)]:
+        starts = np.array([0, *(np.flatnonzero(np.diff(told.astype(int)) < 0) + 1)])
+        for first in starts:
             told[first: first + memory] = True
-        away = replay_commands(run, limit, told=told) - run.command
+        found = replay_commands(run, limit, told=told)
+        away = found - run.command
+        if run.rounded and _rms(away[~told]) > math.sqrt(QUANTISATION):
+            judged = starts[starts + memory < len(run)] + memory
+            away = _remembered(run, limit, told, judged, compensator.memory) - run.command
     except StationError:    # told where the loop is simulated
         return 0.0
     return _rms(away[~told]) / max(_rms(run.command), 1e-300)
+
+
+def _remembered(run: Run, limit: float, told: np.ndarray, starts: np.ndarray, memory: int) -> np.ndarray:
+    """(n) the commands, worked out from ``starts`` on with what those before them may have been before they were
+    rounded, as suits the log best (Gauss and Newton: a limit makes it no straight line)."""
+    run = _told(run, controller={**run.metadata.controller, "rounding": False})
+    more = np.zeros((memory, starts.size))
+
+    def worked_out(more: np.ndarray) -> np.ndarray:
+        command = run.command.copy()
+        for back, away in enumerate(more, start=1):
+            command[starts - back] += away
+        return replay_commands(replace(run, command=command), limit, told=told)
+
+    found = worked_out(more)
+    for _ in range(ROUNDS):
+        columns = np.array([worked_out(more + STEP * one[:, None]) - found for one in np.eye(memory)]) / STEP
+        for k, (first, end) in enumerate(pairwise([*starts.tolist(), len(run)])):
+            rows = np.flatnonzero(~told[first:end]) + first
+            if rows.size and memory:
+                ends = -HALF - more[:, k], HALF - more[:, k]
+                more[:, k] += lsq_linear(columns[:, rows].T, (run.command - found)[rows], bounds=ends).x
+        found = worked_out(more)
+        if _rms((run.command - found)[~told]) <= math.sqrt(QUANTISATION):
+            break
+    return np.floor(found + 0.5)
 
 
 def _rms(values: np.ndarray) -> float:

@@ -59,6 +59,19 @@ def test_the_row_whose_readings_commands_are_of_is_taken_as_they_have_it(true: i
     assert as_logged(AXIS, runs) == (runs, [])
 
 
+def test_an_integral_that_began_from_commands_before_they_were_rounded_is_its_own() -> None:
+    """Half a count of the first commands stays in an integral for good, many times as large by the derivative's lag."""
+    spec = {"kind": "pid", "gain": 0.4, "integral": 0.5, "derivative": 0.25, "filter": 0.05}
+    for run in CLOSED:
+        run = replace(run, reference=run.reference - 9.7, metadata=run.metadata.model_copy(update={"controller": spec}))
+        made = simulate(AXIS, run)
+        run = replace(run, command=made.command, encoder=np.round(made.encoder))
+        assert as_logged(AXIS, [run]) == ([run], [])
+        counts = np.sqrt(np.mean(np.square(run.command)))
+        assert off_by(AXIS, run) * counts < 0.5 and counts > 5.0
+        assert as_logged(AXIS, [of(run, gain=0.8)])[1]
+
+
 def in_volts(run: Run, per_volt: float = 20.0) -> Run:
     """The run of a lab whose commands are volts, with three decimals, by a loop whose gain is in volts per count."""
     run = of(run, gain=run.metadata.controller["gain"] / per_volt)
