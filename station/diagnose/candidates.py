@@ -67,6 +67,10 @@ class Candidate:
         """This cause alone."""
         return Hypothesis((), (self.constant,)) if self.effect is None else Hypothesis(((self.effect, self.at),))
 
+    def alike(self, other: Candidate) -> bool:
+        """Whether the two are one cause, or one law a special case of the other's at the same place."""
+        return self.key == other.key or self.hypothesis.holds(other.key) or other.hypothesis.holds(self.key)
+
     def repeating(self, waves: Sequence[float]) -> Candidate:
         """The same, guessed to repeat itself so often per turn, as far as its law may."""
         name = self.effect.waves

@@ -46,6 +46,8 @@ class Change:
     @staticmethod
     def combined(changes: Sequence[Change], sizes: np.ndarray) -> Change:
         """So many times (m) each of m changes."""
+        if len(changes) == 1 and sizes[0] == 1.0:
+            return changes[0]
         scaled = [sum(a * c for a, c in zip(sizes, run, strict=True))
                   for run in zip(*(c.scaled for c in changes), strict=True)]
         return Change(scaled, _block_products(scaled, scaled), np.tensordot(sizes, [c.slopes for c in changes], 1))
@@ -105,15 +107,20 @@ class Linearised:
         return _block_products(change.scaled, self.errors)
 
     @cached_property
-    def weighed(self) -> _Weighed:
+    def weighed(self) -> Weighed:
         """By what the parent leaves."""
-        return _Weighed(self, self.parent.blocks(self.parent.weighing))
+        return Weighed(self, self.parent.blocks(self.parent.weighing))
 
     @cached_property
-    def ahead(self) -> _Weighed:
+    def ahead(self) -> Weighed:
         """By what the parent leaves a few samples ahead alone, where that counts."""
         short = ~self.predictor.longest
-        return _Weighed(self, self.weighed.weights * short) if short.any() else self.weighed
+        return Weighed(self, self.weighed.weights * short) if short.any() else self.weighed
+
+    @property
+    def weighings(self) -> list[Weighed]:
+        """By all that counts, and by what is a few samples ahead, if that is another."""
+        return [self.weighed, *([self.ahead] if self.ahead is not self.weighed else [])]
 
     def beyond(self, change: Change) -> tuple[float, float, float] | None:
         """What -2 ln L falls by before the change's size is chosen, G and b, weighed by what the change would leave.
@@ -124,7 +131,7 @@ class Linearised:
         if np.all(change.squares <= np.maximum(self.squares, parent.counts)):
             return None
         there = np.maximum(self.squares - 2.0 * self.by_errors(change) + change.squares, 0.0)
-        weighed = _Weighed(self, block_weights(there, parent.counts, weighing.independent) / weighing.temperature)
+        weighed = Weighed(self, block_weights(there, parent.counts, weighing.independent) / weighing.temperature)
         fall = (cost(self.squares, parent.counts, weighing.independent)
                 - cost(there, parent.counts, weighing.independent)) / weighing.temperature
         fall += float(np.sum(weighed.weights * (there - self.squares))) + weighed.fall - self.weighed.fall
@@ -132,7 +139,7 @@ class Linearised:
         return fall, float(gram[0, 0]), float(slope[0])
 
 
-class _Weighed:
+class Weighed:
     """A parent's quadratic under weights of the blocks, solved for its own parameters and nuisances."""
 
     def __init__(self, of: Linearised, weights: np.ndarray) -> None:

@@ -4,8 +4,10 @@ A cause of a guessed size changes the predictions; what that and multiples of it
 moved with it, is read off the parent's quadratic (``linearised``).  With one of the parent's own effects taken out, and
 what that changes taken from the errors, the same says which could stand in its place.
 
-Where a law stands in a wave of the angle, a whole run that is out of place by half a wave shows nothing of it.  What
-the torque that is missing proposes is judged a few samples ahead alone (``Linearised.ahead``).
+Where a rig sticks, or a law stands in a wave of the angle, a whole run changes by leaps: what is out of place by half a
+wave, or is held by friction where it should not be, shows nothing of a torque.  Where sets are compared by what they
+predict a few samples ahead (``Selection.judge``), causes are sought by that alone, too (``Linearised.ahead``): each
+begins where it is expected to gain most.
 
 What a law a sin(x + phi) changes is, to first order, that of two phases a quarter of a turn apart, cos(phi) of one and
 sin(phi) of the other: both sizes together say amplitude and phase.
@@ -22,7 +24,7 @@ from itertools import combinations
 import numpy as np
 
 from station.diagnose.candidates import Candidate
-from station.diagnose.linearised import Change, Linearised
+from station.diagnose.linearised import Change, Linearised, Weighed
 from station.estimation.cause import Key, Sizes
 from station.estimation.fitted import Fit
 from station.estimation.least_squares import DIVERGED
@@ -109,13 +111,7 @@ def screen(predictor: Predictor, parent: Fit, pool: Sequence[Candidate],
         changes = tuple(change for change in found if change is not None)
         if len(changes) < len(found):
             return _Row(Screened(candidate, guesses[0], 0.0, 1.0, 0.0), guesses[0], ())
-        if len(changes) == 1:
-            return _Row(_expected(known, candidate, guesses[0], changes[0]), guesses[0], changes, factor)
-        gram, slope = (known.ahead if candidate.by_torque else known.weighed).products(list(changes))
-        sizes = _direction(gram, slope)
-        said = _expected(known, candidate, turned(candidate, guesses[0], sizes), Change.combined(changes, sizes))
-        # An effect shows if it does in any phase.
-        return _Row(replace(said, information=float(gram.diagonal().max())), guesses[0], changes, factor)
+        return _Row(_expected(known, candidate, guesses[0], changes), guesses[0], changes, factor)
 
     def tried(task: tuple[Candidate, tuple[dict[str, float], ...]]) -> _Row:
         candidate, guesses = task
@@ -155,21 +151,24 @@ def _shared(parent: Fit, pool: Sequence[Candidate]) -> list[Screened]:
     return [Screened(c, {"offset": mean}, gain, 1.0, 0.0, mean) for c in pool if c.key == BIAS]
 
 
-def _expected(known: Linearised, candidate: Candidate, guess: dict[str, float], change: Change) -> Screened:
-    """What a change is expected to gain: the most of two quadratics that give no more than the likelihood; of what the
-    missing torque proposes, a few samples ahead."""
-    if candidate.by_torque:
-        gram, slope = known.ahead.products([change])
-        return _screened(candidate, guess, float(gram[0, 0]), float(slope[0]))
-    gram, slope = known.weighed.products([change])
-    found = _screened(candidate, guess, float(gram[0, 0]), float(slope[0]))
-    beyond = known.beyond(change)
+def _expected(known: Linearised, candidate: Candidate, first: dict[str, float], changes: Sequence[Change]) -> Screened:
+    """What a cause is expected to gain, its components in the best proportion: the most of two quadratics that give no
+    more than the likelihood, and of that of what is predicted a few samples ahead."""
+    def by(weighed: Weighed) -> tuple[Screened, np.ndarray, float]:
+        gram, slope = weighed.products(list(changes))
+        sizes = _direction(gram, slope)
+        said = _screened(candidate, turned(candidate, first, sizes), float(sizes @ gram @ sizes), float(slope @ sizes))
+        return said, sizes, float(gram.diagonal().max())
+
+    (found, sizes, information), *ahead = map(by, known.weighings)
+    tried = [found, *(said for said, _, _ in ahead)]
+    beyond = known.beyond(Change.combined(changes, sizes))
     if beyond is not None:
         fall, s, b = beyond
-        other = _screened(candidate, guess, s, b)
-        if other.size > 0.0 and fall + other.gain > found.gain:
-            return replace(found, gain=fall + other.gain, size=other.size)
-    return found
+        other = _screened(candidate, found.guess, s, b)
+        if other.size > 0.0:
+            tried.append(replace(other, gain=fall + other.gain))
+    return replace(max(tried, key=lambda one: one.gain), information=information)   # it shows if it does in any phase
 
 
 def _screened(candidate: Candidate, guess: dict[str, float], s: float, b: float) -> Screened:
@@ -181,7 +180,11 @@ def _screened(candidate: Candidate, guess: dict[str, float], s: float, b: float)
 
 
 def _pairs(known: Linearised, rows: Sequence[_Row]) -> list[tuple[Screened, Screened]]:
-    """Pairs of causes whose sizes, fitted together, buy more than the better of the two and another cause's worth."""
+    """Pairs of causes whose sizes, fitted together, buy more than any single one: first what buys most more, by any of
+    the quadratics, each with a cause that those before it have not.
+
+    Where nothing sticks yet a friction shows with what it will hide.
+    """
     best: dict[Key, _Row] = {}
     for row in sorted(rows, key=lambda row: -row.screened.gain):
         if row.screened.information > 1e-6 and row.screened.size > 0.0:
@@ -189,19 +192,33 @@ def _pairs(known: Linearised, rows: Sequence[_Row]) -> list[tuple[Screened, Scre
     leading = list(best.values())[:PAIRED]
     if len(leading) < 2:
         return []
-    gram, slope = known.weighed.products([change for row in leading for change in row.changes])
-    columns = np.split(np.arange(len(slope)), np.cumsum([len(row.changes) for row in leading])[:-1])
-    pairs = []
-    for (one, mine), (other, its) in combinations(zip(leading, columns, strict=True), 2):
-        both = np.concatenate([mine, its])
-        with suppress(np.linalg.LinAlgError):
-            sizes = np.linalg.solve(gram[np.ix_(both, both)], slope[both])
-            gain = float(slope[both] @ sizes)
-            parts = [sizes[: len(mine)], sizes[len(mine):]]
-            within = all(np.linalg.norm(part) < LINEAR and (len(part) > 1 or part[0] > 0.0) for part in parts)
-            if within and gain > max(one.screened.gain, other.screened.gain):
-                pairs.append((one.along(parts[0], gain), other.along(parts[1], gain)))
-    return sorted(pairs, key=lambda pair: -pair[0].gain)
+    ends = np.cumsum([len(row.changes) for row in leading])
+    columns = np.split(np.arange(ends[-1]), ends[:-1])
+    found: list[tuple[float, tuple[Screened, Screened]]] = []
+    for weighed in known.weighings:
+        quadratic = weighed.products([change for row in leading for change in row.changes])
+        most = max(_bought(*quadratic, [part])[0] for part in columns)
+        for (one, mine), (other, its) in combinations(zip(leading, columns, strict=True), 2):
+            gain, sizes = _bought(*quadratic, [mine, its])
+            if gain > most and not one.screened.candidate.alike(other.screened.candidate):
+                found.append((gain - most, (one.along(sizes[0], gain), other.along(sizes[1], gain))))
+    pairs: list[tuple[Screened, Screened]] = []
+    seen: list[Candidate] = []
+    for _, pair in sorted(found, key=lambda one: -one[0]):
+        new = [one.candidate for one in pair if not any(map(one.candidate.alike, seen))]
+        pairs += [pair] * bool(new)
+        seen += new
+    return pairs
+
+
+def _bought(gram: np.ndarray, slope: np.ndarray, parts: Sequence[np.ndarray]) -> tuple[float, list[np.ndarray]]:
+    """What causes of these components (columns of G and b) buy together, and their sizes; nothing where one would have
+    to be its own opposite, or larger than the first order is believed."""
+    together = np.concatenate(parts)
+    sizes = np.linalg.lstsq(gram[np.ix_(together, together)], slope[together], rcond=1e-12)[0]
+    each = np.split(sizes, np.cumsum([len(part) for part in parts])[:-1])
+    within = all(np.linalg.norm(size) < LINEAR and (len(size) > 1 or size[0] > 0.0) for size in each)
+    return float(slope[together] @ sizes) if within else 0.0, each
 
 
 def _in_place(known: Linearised, rows: Sequence[_Row]) -> dict[Key, list[Screened]]:

@@ -21,7 +21,16 @@ from station.diagnose.candidates import Candidate, candidates, one_too_many
 from station.diagnose.disturbance import waves
 from station.diagnose.remainder import ahead_is_noise, misses_more_ahead, remainder
 from station.diagnose.screening import Screened, screen
-from station.diagnose.starts import Start, arrived, attempted, far_starts, has_gap, rigid_starts
+from station.diagnose.starts import (
+    Start,
+    ahead_first,
+    arrived,
+    attempted,
+    far_starts,
+    has_gap,
+    may_stick,
+    rigid_starts,
+)
 from station.diagnose.thresholds import CLOSE, LOG_PRIOR, LOG_PRIOR_PARAMETER, WORTH_A_FIT
 from station.estimation.cause import Causes, Key, Sizes, is_constant
 from station.estimation.constants import base_fit, in_step, settled, told_again
@@ -59,7 +68,7 @@ class Effort:
     """Of simulations in the search, and of those from which values are stated."""
 
 
-EFFORTS = {"quick": Effort(tried=6, finished=2, pairs=1, exchanged=1, content=True, accuracies=(COARSE, SEARCH)),
+EFFORTS = {"quick": Effort(tried=6, finished=2, pairs=2, exchanged=1, content=True, accuracies=(COARSE, SEARCH)),
            "full": Effort(tried=12, finished=4, pairs=3, exchanged=3, content=False, accuracies=(SEARCH, FINE))}
 
 
@@ -350,7 +359,8 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], far: list[Star
     for far_start in [*rigid, *far]:
         jobs.append((f"{far_start.candidate.hypothesis.label}, far from nominal", -np.inf, far_start))
     for less in sorted(exchanges):
-        others = [one for one in exchanges[less] if one.gain > WORTH_A_FIT and shows(one, less=less)]
+        others = [one for one in exchanges[less] if one.gain > WORTH_A_FIT and shows(one, less=less)
+                  and not any(one.candidate.hypothesis.holds(key) for key in parent.key - {less})]
         moved = [one for one in others[effort.exchanged:] if one.candidate.key[0] == less[0]]
         for other in [*others[: effort.exchanged], *moved]:
             add((other,), less)
@@ -362,9 +372,7 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], far: list[Star
             begun_from[of] += 1
             add((cause,))
     for pair in [pair for pair in pairs if shows(*pair)][: effort.pairs] if grows and not content else []:
-        first, second = (one.candidate for one in pair)
-        apart = not (first.hypothesis.holds(second.key) or second.hypothesis.holds(first.key))
-        if pair[0].gain > WORTH_A_FIT and apart:
+        if pair[0].gain > WORTH_A_FIT:
             add(pair)
     found: dict[Causes, Fit] = {}
     expected: dict[Causes, float] = {}
@@ -416,8 +424,12 @@ def begun(predictor: Predictor, parent: Fit, start: Iterable[Screened], less: Ke
         first |= one.start if less is None else taking_in(one, less, parent.space.values(parent.x).get(less, {}))
         own[:, 3] -= one.shared
     space = parameters(predictor.data, hypothesis, centres)
-    return attempted(predictor, space, parent.weighing, space.carried(parent.space, parent.x, first), own,
-                     jacobian=inherited(parent, space), renewals=0, first=FAR, iterations=QUICK_STEPS, tolerance=0.5)
+    x = space.carried(parent.space, parent.x, first)
+    if may_stick(space) and len(hypothesis.causes) > 1:
+        return ahead_first(predictor, space, parent.weighing, x, own, renewals=0, iterations=QUICK_STEPS,
+                           tolerance=0.5)
+    return attempted(predictor, space, parent.weighing, x, own, jacobian=inherited(parent, space), renewals=0,
+                     first=FAR, iterations=QUICK_STEPS, tolerance=0.5)
 
 
 def centred(predictor: Predictor, found: Fit, complete: bool) -> tuple[Parameters, np.ndarray]:

@@ -68,6 +68,26 @@ def has_gap(space: Parameters) -> bool:
     return any(cls.stage is Stage.GAP for cls, _ in space.hypothesis.effects)
 
 
+def may_stick(space: Parameters) -> bool:
+    """Whether a hypothesis holds a friction that holds a rig at rest."""
+    return any(cls.stage is Stage.FRICTION for cls, _ in space.hypothesis.effects)
+
+
+def ahead_first(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarray, own: np.ndarray,
+                **how: Any) -> Fit | None:
+    """The same, begun where the shortest horizon alone leads, where there is another.
+
+    What friction holds answers no torque until it lets go: a whole run rests where another size of what pulls beside
+    it would have it rest, and its objective has a step at every such place.  A few samples ahead of what was read the
+    rig moves where it did.
+    """
+    if len(predictor.observers) > 1:
+        one = replace(predictor, observers=predictor.observers[:1])
+        near = attempted(one, space, replace(unknown(one), differ=weighing.differ), x, own, **how)
+        x, own = (near.x, near.own) if near is not None else (x, own)
+    return attempted(predictor, space, weighing, x, own, **how)
+
+
 def arrived(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarray, own: np.ndarray,
             **how: Any) -> Fit | None:
     """The same or, if that is better, one that begins where horizons lead that double from the shortest to FARTHEST.
