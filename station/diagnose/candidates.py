@@ -40,9 +40,14 @@ class Candidate:
     @property
     def starts(self) -> int:
         """Guesses from which fits begin: more where the objective has many valleys (angles, gaps)."""
-        if self.effect is not None and self.effect.stage is Stage.GAP:
+        if self.is_gap:
             return OF_A_GAP
         return min(1 + len(self.components) // PER_START, MOST_STARTS)
+
+    @property
+    def is_gap(self) -> bool:
+        """Whether it is a play between two parts."""
+        return self.effect is not None and self.effect.stage is Stage.GAP
 
     @property
     def components(self) -> list[tuple[dict[str, float], ...]]:

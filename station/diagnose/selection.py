@@ -43,6 +43,8 @@ from station.model.effects import Stage, effect_class
 
 QUICK_STEPS = 8
 """Steps of the fits by which further causes are tried, with derivatives of the parent."""
+LOAD_HOLDS = ("coulomb_friction", "base")
+"""What a load may be held by while a play before it is open."""
 PEAKS = 3
 """Peaks of the missing torque's spectrum over the angle that are tried as a ripple's waves per turn."""
 RUNGS = 3
@@ -374,6 +376,10 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], far: list[Star
     for pair in [pair for pair in pairs if shows(*pair)][: effort.pairs] if grows and not content else []:
         if pair[0].gain > WORTH_A_FIT:
             add(pair)
+    gap = next((one for one in screened if one.candidate.is_gap), None)
+    if gap is not None and not parent.key and begun_from[gap.candidate.key, gap.candidate.by_torque]:
+        for friction in held_loads(pool):
+            add((gap, friction))
     found: dict[Causes, Fit] = {}
     expected: dict[Causes, float] = {}
     ends = predictor.pool.map(tried, [start for _, _, start in jobs])
@@ -387,6 +393,15 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], far: list[Star
     ranked = leading(search, found, expected)[: effort.finished]
     _refit(search, [search.fits[f.key] for f in ranked], False,
            lambda share, label: told(f"fitted {label}", 0.6 + 0.4 * share))
+
+
+def held_loads(pool: Sequence[Candidate]) -> list[Screened]:
+    """Friction at the load from each of its usual sizes, beside which a gap is begun as well.
+
+    While a play is open friction alone says where the load goes; where none is it shows nothing, and by itself a gap
+    behind which a light load rattles on is no better than none.
+    """
+    return [Screened(one, guess, 0.0, 1.0, 0.0) for one in pool if one.key == LOAD_HOLDS for guess in one.guesses]
 
 
 def leading(search: Selection, found: dict[Causes, Fit], expected: dict[Causes, float]) -> list[Fit]:
