@@ -181,7 +181,7 @@ def _screened(candidate: Candidate, guess: dict[str, float], s: float, b: float)
 
 def _pairs(known: Linearised, rows: Sequence[_Row]) -> list[tuple[Screened, Screened]]:
     """Pairs of causes whose sizes, fitted together, buy more than any single one: first what buys most more, by any of
-    the quadratics, each with a cause that those before it have not.
+    the quadratics; of pairs that are alike, cause by cause, the first.
 
     Where nothing sticks yet a friction shows with what it will hide.
     """
@@ -203,12 +203,16 @@ def _pairs(known: Linearised, rows: Sequence[_Row]) -> list[tuple[Screened, Scre
             if gain > most and not one.screened.candidate.alike(other.screened.candidate):
                 found.append((gain - most, (one.along(sizes[0], gain), other.along(sizes[1], gain))))
     pairs: list[tuple[Screened, Screened]] = []
-    seen: list[Candidate] = []
     for _, pair in sorted(found, key=lambda one: -one[0]):
-        new = [one.candidate for one in pair if not any(map(one.candidate.alike, seen))]
-        pairs += [pair] * bool(new)
-        seen += new
+        if not any(_alike(pair, old) for old in pairs):
+            pairs.append(pair)
     return pairs
+
+
+def _alike(pair: tuple[Screened, Screened], other: tuple[Screened, Screened]) -> bool:
+    """Whether each cause of a pair is one of another pair's, or a case of it."""
+    return any(all(a.candidate.alike(b.candidate) for a, b in zip(pair, order, strict=True))
+               for order in (other, other[::-1]))
 
 
 def _bought(gram: np.ndarray, slope: np.ndarray, parts: Sequence[np.ndarray]) -> tuple[float, list[np.ndarray]]:

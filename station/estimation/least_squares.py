@@ -82,7 +82,7 @@ class _Descent:
         return Point(x, own, predicted, residuals, squares, value if np.all(np.isfinite(squares)) else np.inf)
 
     def column(self, predictor: Predictor, here: Point, k: int) -> list[np.ndarray]:
-        """Derivatives of the scaled predictions by one parameter or nuisance, per run; 0 where none is simulated.
+        """Derivatives of the scaled predictions by one parameter or nuisance, per run; 0 where it has none (``small``).
 
         Sticking makes outputs kinked: what counts is the difference over a step, so steps are not tiny.
         """
@@ -94,9 +94,18 @@ class _Descent:
             else:
                 own[:, self.data.free[k - p]] += step
             moved = predictor.runs(self.space, x, own)
-            if all(np.all(np.isfinite(y)) for y in moved):
-                return [(y - y0) * s / step for y, y0, s in zip(moved, here.predicted, self.scale, strict=True)]
+            changes = [(y - y0) * s for y, y0, s in zip(moved, here.predicted, self.scale, strict=True)]
+            if all(map(self.small, range(len(changes)), changes)):
+                return [change / step for change in changes]
         return [np.zeros_like(y) for y in here.predicted]
+
+    def small(self, run: int, change: np.ndarray) -> bool:
+        """Whether the step of a difference changes a run's scaled predictions (b, n) by less than all that was
+        measured, and a count: one that runs away, or does not simulate, tells no derivative."""
+        scale = self.scale[run]
+        measured = self.measured[run] * scale
+        with np.errstate(over="ignore", invalid="ignore"):
+            return bool(np.vdot(change, change) < np.vdot(measured, measured) + np.vdot(scale, scale))
 
     def columns(self, here: Point, some: np.ndarray) -> list[list[np.ndarray]]:
         """Several of them: sent one by one they would take twice as long, a column is so quick."""
@@ -128,8 +137,8 @@ class _Descent:
             for row in rows:
                 row[moved] = 0.0
             for r, k in kind:
-                change = (predicted[r] - here.predicted[r]) * self.scale[r] / self.steps[k]
-                rows[r][k] = change if np.all(np.isfinite(change)) else 0.0
+                change = (predicted[r] - here.predicted[r]) * self.scale[r]
+                rows[r][k] = change / self.steps[k] if self.small(r, change) else 0.0
         unseen = unseen_with_effects(self.space, here.x)
         for row in rows if unseen.size else []:
             row[:p] -= np.tensordot(unseen, np.tensordot(unseen.T, row[:p], 1), 1)

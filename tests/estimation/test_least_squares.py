@@ -13,7 +13,7 @@ from station.estimation.identifiability import unseen_with_effects
 from station.estimation.least_squares import _Descent, fit, inherited
 from station.estimation.likelihood import Weighing, rho
 from station.estimation.observer import observers
-from station.estimation.parameters import Hypothesis, parameters
+from station.estimation.parameters import Hypothesis, Parameters, parameters
 from station.estimation.pool import Pool
 from station.estimation.prediction import Predictor
 from station.model.effects import effect_class
@@ -177,6 +177,27 @@ def test_derivatives_are_differences_of_predictions(predictor: Predictor, fitted
         for r, (up, down) in enumerate(zip(*ends, strict=True)):
             central = (up - down) * descent.scale[r] / (2.0 * step)
             assert np.linalg.norm(jac[r][k] - central) < 0.05 * np.linalg.norm(central)
+
+
+@pytest.mark.parametrize("farther", [1e6, np.inf, np.nan])
+def test_a_step_that_runs_away_tells_no_derivative(predictor: Predictor, fitted: Fit, weighing: Weighing,
+                                                   monkeypatch: pytest.MonkeyPatch, farther: float) -> None:
+    """Forward it would be worth more than all that was measured: the way back tells, and where that runs away, too,
+    nothing does."""
+    descent = _Descent(predictor, fitted.space, weighing, np.ones(3))
+    here, column = descent.at(fitted.x, fitted.own), descent.column
+    around, rest = predictor.around(fitted.space, fitted.x), np.zeros_like(descent.scale[0])
+    assert descent.small(0, 0.9 * descent.measured[0] * descent.scale[0]) and descent.small(0, rest)
+    honest, moved = column(around, here, 1), Predictor.runs
+
+    def runs(self: Predictor, space: Parameters, x: np.ndarray, own: np.ndarray) -> list[np.ndarray]:
+        away = farther if x[1] > fitted.x[1] or both else 0.0
+        return [y + away for y in moved(self, space, x, own)]
+
+    monkeypatch.setattr(Predictor, "runs", runs)
+    for both in (False, True):
+        for told, before in zip(column(around, here, 1), honest, strict=True):
+            assert np.linalg.norm(told - before) < 0.2 * np.linalg.norm(before) if not both else not told.any()
 
 
 def test_a_run_of_weight_0_does_not_pull(predictor: Predictor, fitted: Fit, weighing: Weighing) -> None:
