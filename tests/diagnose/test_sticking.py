@@ -80,6 +80,7 @@ def test_a_fit_of_friction_and_a_spring_arrives_from_far(runs: list[Run], stiffn
     assert values[COULOMB]["torque"] == pytest.approx(FRICTION, rel=0.15)
 
 
+@pytest.mark.long
 def test_friction_and_the_spring_that_it_hides_are_both_named(runs: list[Run]) -> None:
     found = diagnose(PENDULUM, runs, effort="quick").diagnosis
     causes = {(cause.effect, cause.at): cause.parameters for cause in found.causes}
