@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -17,7 +16,7 @@ from station.errors import StationError
 from station.estimation.noise import QUANTISATION
 from station.model.simulate import limit_of
 from station.rig import Rig
-from station.runs.replay import LIKELY_ROWS, OTHER_ROW, compensator_of, replay_commands
+from station.runs.replay import LIKELY_ROWS, OTHER_ROW, compensator_of, replay_commands, with_metadata
 from station.runs.run import Run
 
 HALF = 0.5
@@ -39,7 +38,7 @@ def as_logged(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
         stated = next(run.metadata.command_row for run in runs if run.name in rows)
         said.append(f"{_most(dict.fromkeys(rows, 1.0))}: commands are the controller's of command_row "
                     f"{next(iter(rows.values()))}, which is taken, and the log says {stated}")
-        runs = [_told(run, command_row=rows[run.name]) if run.name in rows else run for run in runs]
+        runs = [with_metadata(run, command_row=rows[run.name]) if run.name in rows else run for run in runs]
     beyond = {run.name: reached for run in runs
               if (reached := float(np.max(np.abs(run.command)))) > math.floor(limit + 0.5)}
     shares = [off_by(rig, run) for run in runs]
@@ -51,12 +50,8 @@ def as_logged(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
         said.append(f"{_most(away)}: commands are not those of the controller that the log names (off by "
                     f"{100.0 * max(away.values()):.0f} % of their rms; station replay shows where), which is taken for "
                     "unknown")
-    return [_told(run, controller={"kind": "unknown"}) if share > OWN_COMMANDS else run
+    return [with_metadata(run, controller={"kind": "unknown"}) if share > OWN_COMMANDS else run
             for run, share in zip(runs, shares, strict=True)], said
-
-
-def _told(run: Run, **metadata: Any) -> Run:
-    return replace(run, metadata=run.metadata.model_copy(update=metadata))
 
 
 def _most(shares: Mapping[str, float]) -> str:
@@ -71,7 +66,7 @@ def own_row(rig: Rig, run: Run) -> int:
     stated, row = off_by(rig, run), run.metadata.command_row
     if stated * _rms(run.command) <= math.sqrt(QUANTISATION):
         return row
-    others = {other: off_by(rig, _told(run, command_row=other)) for other in LIKELY_ROWS if other != row}
+    others = {other: off_by(rig, with_metadata(run, command_row=other)) for other in LIKELY_ROWS if other != row}
     best = min(others, key=others.__getitem__)
     return best if others[best] < OTHER_ROW * stated else row
 
@@ -107,7 +102,7 @@ def off_by(rig: Rig, run: Run) -> float:
 def _remembered(run: Run, limit: float, told: np.ndarray, starts: np.ndarray, memory: int) -> np.ndarray:
     """(n) the commands, worked out from ``starts`` on with what those before them may have been before they were
     rounded, as suits the log best (Gauss and Newton: a limit makes it no straight line)."""
-    run = _told(run, controller={**run.metadata.controller, "rounding": False})
+    run = with_metadata(run, controller={**run.metadata.controller, "rounding": False})
     more = np.zeros((memory, starts.size))
 
     def worked_out(more: np.ndarray) -> np.ndarray:

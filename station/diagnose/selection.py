@@ -42,7 +42,7 @@ from station.estimation.prediction import COARSE, FINE, SEARCH, Accuracy, Predic
 from station.model.effects import Stage, effect_class
 
 QUICK_STEPS = 8
-"""Steps of the fits by which further causes are tried, with derivatives of the parent."""
+"""Steps of the fits by which further causes are tried, with derivatives of the parent where nothing sticks."""
 LOAD_HOLDS = ("coulomb_friction", "base")
 """What a load may be held by while a play before it is open."""
 PEAKS = 3

@@ -27,7 +27,7 @@ from station.estimation.dataset import first_seconds
 from station.estimation.fitted import Fit
 from station.estimation.least_squares import DIVERGED, fit, point
 from station.estimation.likelihood import Weighing, cost
-from station.estimation.observer import observers
+from station.estimation.observer import Observer, observers
 from station.estimation.parameters import WIDE, Parameters, parameters
 from station.estimation.prediction import Predictor
 from station.model.effects import Stage
@@ -82,10 +82,16 @@ def ahead_first(predictor: Predictor, space: Parameters, weighing: Weighing, x: 
     rig moves where it did.
     """
     if len(predictor.observers) > 1:
-        one = replace(predictor, observers=predictor.observers[:1])
-        near = attempted(one, space, replace(unknown(one), differ=weighing.differ), x, own, **how)
+        near = _led_by(predictor.observers[:1], predictor, space, weighing, x, own, **how)
         x, own = (near.x, near.own) if near is not None else (x, own)
     return attempted(predictor, space, weighing, x, own, **how)
+
+
+def _led_by(watched: tuple[Observer, ...], predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarray,
+            own: np.ndarray, **how: Any) -> Fit | None:
+    """The same by some horizons alone, of whose errors nothing is known yet; runs differ by as much."""
+    one = replace(predictor, observers=watched)
+    return attempted(one, space, replace(unknown(one), differ=weighing.differ), x, own, **how)
 
 
 def arrived(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarray, own: np.ndarray,
@@ -101,8 +107,7 @@ def arrived(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.n
     data, horizon = predictor.data, predictor.observers[0].horizon
     x, own = _else_nominal(space, x), data.own
     while horizon <= FARTHEST:
-        one = replace(predictor, observers=observers(data.rig, data.noise[0], (horizon,)))
-        near = attempted(one, space, replace(unknown(one), differ=weighing.differ), x, own, **how)
+        near = _led_by(observers(data.rig, data.noise[0], (horizon,)), predictor, space, weighing, x, own, **how)
         if near is None:
             break
         x, own, horizon = near.x, near.own, 2.0 * horizon

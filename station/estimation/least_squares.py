@@ -8,7 +8,7 @@ and computed afresh where that does not lead on.
 
 from __future__ import annotations
 
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -102,10 +102,13 @@ class _Descent:
     def small(self, run: int, change: np.ndarray) -> bool:
         """Whether the step of a difference changes a run's scaled predictions (b, n) by less than all that was
         measured, and a count: one that runs away, or does not simulate, tells no derivative."""
-        scale = self.scale[run]
-        measured = self.measured[run] * scale
         with np.errstate(over="ignore", invalid="ignore"):
-            return bool(np.vdot(change, change) < np.vdot(measured, measured) + np.vdot(scale, scale))
+            return bool(np.vdot(change, change) < self.most[run])
+
+    @cached_property
+    def most(self) -> list[float]:
+        """Per run, the squares of all that was measured, and of a count in each reading, scaled."""
+        return [float(np.sum((m * s) ** 2 + s**2)) for m, s in zip(self.measured, self.scale, strict=True)]
 
     def columns(self, here: Point, some: np.ndarray) -> list[list[np.ndarray]]:
         """Several of them: sent one by one they would take twice as long, a column is so quick."""

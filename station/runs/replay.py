@@ -124,7 +124,7 @@ def _note(run: Run, commands: np.ndarray, beyond: np.ndarray, limit: float, shap
     left = float(np.sum(np.abs(commands - run.command)))
     for row in LIKELY_ROWS:
         if row != run.metadata.command_row and run.metadata.controller.get("kind") != "open":
-            other = _with(run, command_row=row)
+            other = with_metadata(run, command_row=row)
             if float(np.sum(np.abs(replay_commands(other, limit, shaped=shaped) - run.command))) < OTHER_ROW * left:
                 return f"they fit command_row {row}, the metadata say {run.metadata.command_row}"
     if not shaped and SHAPED in run.extra:
@@ -134,5 +134,6 @@ def _note(run: Run, commands: np.ndarray, beyond: np.ndarray, limit: float, shap
     return f"from row {first} on they are not this compensator's"
 
 
-def _with(run: Run, **metadata: Any) -> Run:
+def with_metadata(run: Run, **metadata: Any) -> Run:
+    """The run, some of its metadata others."""
     return replace(run, metadata=run.metadata.model_copy(update=metadata))
