@@ -82,10 +82,10 @@ def between_runs(search: Selection, finding: Finding) -> BetweenRuns:
     found, and whole runs count: a constant torque moves slowly.
     """
     weighing = search.weighing
-    found, seen = BetweenRuns(), differences(finding.rough, weighing, resamples(search))
+    found, seen = BetweenRuns(), differences(finding.fit, weighing, resamples(search))
     own = replace(weighing, differ=(seen[0].size, seen[1].size))
-    moved = finding.rough.own[:, 2:]
-    for name, one, narrowing, of in zip(("share", "constant"), seen, finding.rough.log_narrowing(own), moved.T,
+    moved = finding.fit.own[:, 2:]
+    for name, one, narrowing, of in zip(("share", "constant"), seen, finding.fit.log_narrowing(own), moved.T,
                                         strict=True):
         stability = float(np.mean(2.0 * one.log_odds > VARIES))
         if one.gained > VARIES and stability >= STABLE and shared(of) < VARIES:

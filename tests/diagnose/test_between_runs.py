@@ -46,7 +46,9 @@ def test_a_supply_that_differs_is_told_run_by_run_and_nothing_is_named_for_it(hi
     between = said.between_runs
     assert between is not None and between.share == pytest.approx(np.std(SHARES), rel=0.3)
     assert between.probability["share"] > 0.8 and between.stability["share"] > 0.8
-    told, true = 1.0 + np.array([row.share for row in between.runs]), 1.0 + np.array(SHARES)
+    own = np.array([row.share for row in between.runs])
+    assert between.share >= np.sqrt(np.mean(own**2)), "the size and what each run has are of one fit"
+    told, true = 1.0 + own, 1.0 + np.array(SHARES)
     assert told / told.mean() == pytest.approx(true / true.mean(), abs=0.03)
     assert said.disturbance is not None and said.disturbance.extended < 0.03 < said.disturbance.nominal
     assert all(row.ahead["1 s"].nrmse_after < 0.25 * row.ahead["1 s"].nrmse_before for row in said.gain.runs)
