@@ -101,8 +101,8 @@ class Selection:
     """What errors count for where sets are compared, if it is not the same (``judge``)."""
     found_by: Weighing | None = None
     """What errors count for where sets are compared and parameters found, if these are not the same (``judge``)."""
-    gaps_sought: set[Causes] = field(default_factory=set)
-    """Sets with a gap that were fitted by longer and longer horizons."""
+    arrived: set[Causes] = field(default_factory=set)
+    """Sets that were fitted from nominal constants, too (``starts.arrived``)."""
     looked_back: Fit | None = None
     """The fit that was last looked back upon."""
     _weighed: WeakKeyDictionary[Fit, tuple[Weighing, float, float]] = field(default_factory=WeakKeyDictionary)
@@ -392,7 +392,7 @@ def _climb(search: Selection, parent: Fit, pool: list[Candidate], far: list[Star
                 found[one.key] = one
     ranked = leading(search, found, expected)[: effort.finished]
     _refit(search, [search.fits[f.key] for f in ranked], False,
-           lambda share, label: told(f"fitted {label}", 0.6 + 0.4 * share))
+           lambda share, label: told(f"fitted {label}", 0.6 + 0.4 * share), anew=not parent.key)
 
 
 def held_loads(pool: Sequence[Candidate]) -> list[Screened]:
@@ -471,8 +471,9 @@ def centred(predictor: Predictor, found: Fit, complete: bool) -> tuple[Parameter
 
 
 def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
-           told: Callable[[float, str], None] = lambda share, label: None) -> None:
-    """Fit sets to the end, each with what runs differ by by itself, side by side.
+           told: Callable[[float, str], None] = lambda share, label: None, anew: bool = False) -> None:
+    """Fit sets to the end, each with what runs differ by by itself, side by side; ``anew``: from nominal constants, too,
+    for the rig alone bends them farthest.
 
     Where a set may do without (``Selection.evidence``) it is fitted so, too: what runs differ by stood in for its
     causes, and about that fit the runs do differ.  Not where it is expected to be no rival of itself then.
@@ -487,8 +488,8 @@ def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
                    to_the_end=to_the_end)
 
     fits, jobs = list(fits), []
-    sought = {found.key for found in fits if not complete and has_gap(found.space)} - search.gaps_sought
-    search.gaps_sought |= sought
+    sought = {found.key for found in fits if anew or not complete and has_gap(found.space)} - search.arrived
+    search.arrived |= sought
     for found in fits:
         own = search.own_weighing(found).differ
         alike = found.most_likely_differ(replace(weighing, may=(False, False)))

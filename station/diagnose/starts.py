@@ -96,17 +96,18 @@ def _led_by(watched: tuple[Observer, ...], predictor: Predictor, space: Paramete
 
 def arrived(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarray, own: np.ndarray,
             **how: Any) -> Fit | None:
-    """The same or, if that is better, one that begins where horizons lead that double from the shortest to FARTHEST.
+    """The same or, if that is better, one whose constants begin nominal where they are no causes.
 
-    After a few blows of a gap that is a little wrong a run is out of step, so that the objective of long horizons has a
-    valley at every size and the shortest says little.  The shorter the horizon the smoother it is (Ribeiro, Tiels,
-    Umenberger, Schon and Aguirre, Automatica 121, 2020): each ends where the next is smooth.  Constants that are no
-    causes begin nominal: what was bent to make up for the gap leads to another size.
+    What was bent to make up for a cause that was not there yet may lead to another size of it.  A gap is led there, too,
+    by horizons that double from the shortest to FARTHEST: after a few blows of one that is a little wrong a run is out
+    of step, so that the objective of long horizons has a valley at every size and the shortest says little.  The shorter
+    the horizon the smoother it is (Ribeiro, Tiels, Umenberger, Schon and Aguirre, Automatica 121, 2020): each ends where
+    the next is smooth.
     """
     ends = [attempted(predictor, space, weighing, x, own, **how)]
     data, horizon = predictor.data, predictor.observers[0].horizon
     x, own = _else_nominal(space, x), data.own
-    while horizon <= FARTHEST:
+    while horizon <= FARTHEST and has_gap(space):
         near = _led_by(observers(data.rig, data.noise[0], (horizon,)), predictor, space, weighing, x, own, **how)
         if near is None:
             break
