@@ -15,8 +15,10 @@ from station.diagnose.diagnose import diagnose
 from station.diagnose.selection import THOROUGH
 from station.diagnose.starts import JOINTS, Start, arrived, attempted, far_starts, rigid_starts
 from station.estimation.constants import base_fit, in_step, unknown
+from station.estimation.least_squares import fit
 from station.estimation.parameters import Hypothesis, parameters
 from station.estimation.prediction import Predictor
+from station.model.effects.actuator_lag import ActuatorLag
 from station.model.effects.backlash import Backlash
 from station.model.simulate import simulate
 from station.rig import Rig
@@ -119,6 +121,32 @@ def test_a_beam_that_is_quite_another_than_the_rig_file_says_is_named(key: str, 
     assert [cause.effect for cause in found.causes] == [f"parameter:beam.{key}"]
     ratio = found.causes[0].parameters["value"].value / (SFLR["beam"][key] * factor)
     assert 0.75 < ratio < 1.33
+
+
+def test_a_cause_is_not_sought_from_constants_alone_that_were_bent_to_make_up_for_it() -> None:
+    hidden = ("actuator_lag", "amplifier")
+    case = make_case(1068000, [hidden], count=4)
+    predictor = predictions(ARM, case.runs)
+    rig_alone, guess = parameters(predictor.data, Hypothesis(), {}), {hidden: {"time_constant": 0.002}}
+    bent = fit(predictor, rig_alone, unknown(predictor), rig_alone.mean, predictor.data.own, **THOROUGH)
+    assert np.abs(rig_alone.logs(bent.x)).max() > 1.0, "a motor twice to five times as strong, and as heavy"
+    space = parameters(predictor.data, Hypothesis(((ActuatorLag, "amplifier"),)), guess)
+    begun = space.carried(rig_alone, bent.x, guess)
+    ends = [way(predictor, space, unknown(predictor), begun, bent.own, **THOROUGH) for way in (attempted, arrived)]
+    stuck, found = (space.values(one.x)[hidden]["time_constant"] / case.truth["causes"][0]["time_constant"]
+                    for one in ends)
+    assert abs(found - 1.0) < min(0.1, abs(stuck - 1.0))
+    assert ends[1].objective < ends[0].objective - 10.0
+
+
+@pytest.mark.long
+def test_a_lag_that_a_bent_rig_hides_is_named_alone() -> None:
+    """Begun from the bent rig alone three causes stood beside it, and it had a third of its size."""
+    case = make_case(1068000, [("actuator_lag", "amplifier")], band="clear", count=None)
+    cause, = diagnose(ARM, case.runs, effort="quick").diagnosis.causes
+    assert (cause.effect, cause.at) == ("actuator_lag", "amplifier")
+    size = cause.parameters["time_constant"]
+    assert size.low <= case.truth["causes"][0]["time_constant"] <= size.high
 
 
 LIGHT = Rig.model_validate({
