@@ -47,9 +47,10 @@ def remainder(predictor: Predictor, found: Fit) -> Remainder:
     lasts all through.
     """
     data = predictor.data
-    size, slow, freedoms = [], [], np.array(data.noise_freedoms[: data.channels])
-    for every, share in zip(found.residuals, (record.share for record in data.records), strict=True):
-        e = every[predictor.longest]
+    size, slow = [], []
+    for every, record, accel in zip(found.residuals, data.records, data.accel_noise.T, strict=True):
+        share, (variance, freedoms) = record.share, np.array([(1.0, data.noise_freedoms[0]), accel])[: data.channels].T
+        e = every[predictor.longest] / np.sqrt(variance)[:, None]
         independent = np.maximum(share.sum(axis=1), 1e-9)
         size.append(_size(np.sum(e * e, axis=1), independent, freedoms))
         rows = e.shape[1] // SPAN * SPAN

@@ -13,7 +13,15 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from station.errors import WorkError
-from station.estimation.noise import QUANTISATION, accel_step, noise_of, rest_rows, rest_start, rounding_shares
+from station.estimation.noise import (
+    QUANTISATION,
+    accel_step,
+    noise_of,
+    rest_rows,
+    rest_start,
+    rounding_shares,
+    run_by_run,
+)
 from station.estimation.observer import Observer, observers
 from station.model.effects import USUAL_SPEED
 from station.model.simulate import Simulation, build, simulate_model
@@ -112,6 +120,8 @@ class Dataset:
     """Standard deviation before rounding of encoder and accelerometer, counts."""
     noise_freedoms: tuple[float, float]
     """Degrees of freedom of their estimates."""
+    accel_noise: np.ndarray
+    """(2, runs) variance of the accelerometer's readings in each run over that in all, and its degrees of freedom."""
     clock: tuple[float, float] | None
     segment_run: np.ndarray
     """(stretches) the run of each."""
@@ -296,12 +306,14 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
             raise WorkError(f"{run.name}: no accelerometer column, but other runs have one; leave out one or the other")
         if fault := run.rate_fault(rig.sample_rate):
             raise WorkError(f"{run.name}: {fault}")
-    noise = noise_of(tests)
+    noise, digests = noise_of(tests), [content(run) for run in runs]
+    accel_noise = np.stack(run_by_run(tests))[:, [list(dict.fromkeys(digests)).index(digest) for digest in digests]]
     meshed = rig.meshed()
     if rig.beam is not None:    # it need not be quite uniform
         meshed = meshed.model_copy(update={"uncertainty": {**dict.fromkeys(sorted(PROFILE), RIGIDITY),
                                                            **rig.uncertainty}})
-    groups = list(dict.fromkeys(zero_ids := [r.metadata.zero_id or content(r) for r in runs]))
+    zero_ids = [run.metadata.zero_id or digest for run, digest in zip(runs, digests, strict=True)]
+    groups = list(dict.fromkeys(zero_ids))
     length = max(SEGMENT, sum(len(r.t) / r.sample_rate for r in runs) / SEGMENTS)
     parts = [max(round(len(r.t) / r.sample_rate / length), 1) for r in runs]
     records = tuple(
@@ -309,8 +321,8 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
                 first + np.arange(len(run.t)) * count // len(run.t))
         for run, window, zero, first, count
         in zip(runs, windows or [slice(None)] * len(runs), zero_ids, np.cumsum(parts) - parts, parts, strict=True))
-    return Dataset(meshed, records, noise=noise.sigmas, noise_freedoms=noise.freedoms, clock=clock_evidence(tests),
-                   segment_run=np.repeat(np.arange(len(runs)), parts), carried=_carried(meshed, tests))
+    return Dataset(meshed, records, noise=noise.sigmas, noise_freedoms=noise.freedoms, accel_noise=accel_noise,
+                   clock=clock_evidence(tests), segment_run=np.repeat(np.arange(len(runs)), parts), carried=_carried(meshed, tests))
 
 
 def _record(rig: Rig, run: Run, window: slice, noise: Sequence[float], zero_group: int, segment: np.ndarray) -> Record:

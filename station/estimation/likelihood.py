@@ -37,13 +37,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
 
 from station.estimation.dataset import PUSHED, Dataset
+from station.estimation.noise import FREEDOMS, surprise
 from station.rig import Rig
 
-FREEDOMS = np.array([2.0, 8.0, 32.0, 1e9])
-"""Degrees of freedom nu that are tried: from runs that have nothing in common to errors in strict proportion."""
 SHARES = np.concatenate([[-80.0], np.linspace(math.log(1e-10), math.log(1e4), 65)])
 """Logarithms of lambda from which the most likely one is sought; the first is none."""
 STEPS = 5
@@ -99,7 +97,7 @@ def block_weights(squares: np.ndarray, counts: np.ndarray, independent: np.ndarr
 def expected(ratio: np.ndarray, independent: np.ndarray, power: np.ndarray) -> np.ndarray:
     """(runs, b) v, the mean square that a block is expected to have, from S/n, N and p (runs, b)."""
     shares = 1.0 + np.exp(SHARES)[:, None, None] * power
-    found = np.stack([_surprise(ratio, independent, shares, nu).sum(axis=1) for nu in FREEDOMS])
+    found = np.stack([surprise(ratio, independent, shares, nu).sum(axis=1) for nu in FREEDOMS])
     at = np.argmin(found.reshape(FREEDOMS.size * SHARES.size, -1), axis=0)
     nu, log_share = FREEDOMS[at // SHARES.size], SHARES[at % SHARES.size]
     for _ in range(STEPS):
@@ -109,13 +107,6 @@ def expected(ratio: np.ndarray, independent: np.ndarray, power: np.ndarray) -> n
         step = np.where(curvature > 0.0, -slope / np.where(curvature > 0.0, curvature, 1.0), 0.0)
         log_share = np.where(log_share == SHARES[0], log_share, log_share + np.clip(step, -NEAR, NEAR))
     return 1.0 + np.exp(log_share) * power
-
-
-def _surprise(ratio: np.ndarray, independent: np.ndarray, scale: np.ndarray, nu: float) -> np.ndarray:
-    """-2 ln of the density of N errors of mean square S/n about v, their own size drawn with nu degrees of freedom."""
-    return ((independent + nu) * np.log1p(independent * ratio / (nu * scale)) + independent * np.log(scale)
-            - 2.0 * (special.gammaln(0.5 * (independent + nu)) - special.gammaln(0.5 * nu)
-                     - 0.5 * independent * np.log(0.5 * nu)))
 
 
 def _slopes(ratio: np.ndarray, independent: np.ndarray, scale: np.ndarray, nu: np.ndarray,

@@ -7,6 +7,8 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.special import chdtri, gammaln
 
 from station.runs.run import Run
 
@@ -21,6 +23,14 @@ counts, for its rounding error runs through all its values meanwhile; of a longe
 """
 ASKED = 0.01
 """Share of a run's largest command that asks nothing yet: that of a loop that holds what rests, toggling by a count."""
+LEAST = 10
+"""Fewest that tell what a sensor scatters by."""
+FREEDOMS = np.array([2.0, 8.0, 32.0, 1e9])
+"""Degrees of freedom that are tried of what mean squares scatter about: from runs that have nothing in common to runs
+that are alike."""
+DIFFER = float(chdtri(1, 2.0 * 0.01))
+"""2 ln of the likelihood ratio from which on runs do not read alike: one in a hundred where they do (Self and Liang, J.
+Am. Stat. Assoc. 82, 1987)."""
 RESTS = 100
 """Most rows at rest that say where a run begins."""
 ORDER = 8
@@ -84,20 +94,57 @@ def noise_of(runs: list[Run]) -> Noise:
     moves at all holds, is taken off.
     """
     step = accel_step(runs)
-    rests = [(run, np.flatnonzero(run.logged[: rest_rows(run)])) for run in runs]
-
-    def pooled(channel: str) -> tuple[float, int]:
-        parts = [getattr(run, channel)[rest] for run, rest in rests
-                 if rest.size >= 10 and getattr(run, channel) is not None]
-        centred = [part - np.mean(part) for part in parts]
-        return sum(float(part @ part) for part in centred), sum(part.size - 1 for part in centred)
-
-    (encoder, encoder_rows), (accel, accel_rows) = pooled("encoder"), pooled("accel")
-    angle, freedoms = max((encoder / max(encoder_rows, 1), float(encoder_rows)), scatter(runs))
+    (encoder, encoder_rows), (accel, accel_rows) = (rests.sum(axis=1).tolist() for rests in _rests(runs))
+    angle, freedoms = max((encoder / max(encoder_rows, 1.0), encoder_rows), scatter(runs))
     acceleration = accel / accel_rows if accel_rows else (ACCEL_DEFAULT**2 + QUANTISATION) * step**2
     angle = math.sqrt(max(angle - QUANTISATION, 0.0))
     acceleration = math.sqrt(max(acceleration - QUANTISATION * step**2, 0.0))
-    return Noise((angle, acceleration), (max(freedoms, 1.0), max(float(accel_rows), 1.0)))
+    return Noise((angle, acceleration), (max(freedoms, 1.0), max(accel_rows, 1.0)))
+
+
+def _rests(runs: list[Run]) -> np.ndarray:
+    """(2, 2, runs) of encoder and accelerometer the sum of squares about the mean in each run's rest, of rows that were
+    logged, and its degrees of freedom; 0 and 0 of a rest of fewer than LEAST."""
+    found = np.zeros((2, 2, len(runs)))
+    for r, run in enumerate(runs):
+        rest = np.flatnonzero(run.logged[: rest_rows(run)])
+        for c, reading in enumerate((run.encoder, run.accel)):
+            if reading is not None and rest.size >= LEAST:
+                found[c, :, r] = rest.size * np.var(reading[rest]), rest.size - 1
+    return found
+
+
+def run_by_run(runs: list[Run]) -> tuple[np.ndarray, np.ndarray]:
+    """(runs) variance of the accelerometer's readings in each run, over that of all runs together, and its degrees of
+    freedom, at least 1: motor and amplifier disturb it in each by what they do there.
+
+    Each rest's mean square s of d degrees of freedom is taken to scatter about v, s/v ~ F(d, nu), with nu most likely of
+    all runs together; a run's own variance is (nu v + d s)/(nu + d) (empirical Bayes: Smyth, Stat. Appl. Genet. Mol.
+    Biol. 3, 2004).  Where that is not DIFFER likelier than one variance for all, it is one.
+    """
+    sums, freedoms = _rests(runs)[1]
+    sums = np.maximum(sums, QUANTISATION * accel_step(runs) ** 2 * freedoms)
+    alike = sums.sum() / max(freedoms.sum(), 1.0)
+    seen, same = freedoms > 0.0, (np.ones(len(runs)), np.full(len(runs), max(freedoms.sum(), 1.0)))
+    if not seen.sum() > 1:
+        return same
+    d, square = freedoms[seen], sums[seen] / freedoms[seen] / alike
+
+    def about(nu: float) -> tuple[float, float, float]:
+        found = minimize_scalar(lambda log: float(surprise(square, d, np.exp(log), nu).sum()), method="bounded",
+                                bounds=(math.log(square.min()) - 1.0, math.log(square.max()) + 1.0))
+        return float(found.fun), nu, math.exp(found.x)
+    (least, nu, v), (one, *_) = min(map(about, FREEDOMS[:-1].tolist())), about(float(FREEDOMS[-1]))
+    if one - least < DIFFER:
+        return same
+    return (nu * v + sums / alike) / (nu + freedoms), nu + freedoms
+
+
+def surprise(square: np.ndarray, independent: np.ndarray, scale: np.ndarray | float, nu: float) -> np.ndarray:
+    """-2 ln of the density of so many ``independent`` errors of such a mean ``square`` about ``scale``, their own size
+    drawn with nu degrees of freedom."""
+    return ((independent + nu) * np.log1p(independent * square / (nu * scale)) + independent * np.log(scale)
+            - 2.0 * (gammaln(0.5 * (independent + nu)) - gammaln(0.5 * nu) - 0.5 * independent * np.log(0.5 * nu)))
 
 
 def accel_step(runs: Iterable[Run]) -> float:

@@ -26,7 +26,8 @@ LOGGED = {"all": np.ones(ROWS), "every other": (np.arange(ROWS) % 2 == 0).astype
 
 def left(errors: np.ndarray, logged: np.ndarray) -> Remainder:
     """Of one run whose encoder is read at some rows; errors (n) in units of the noise."""
-    data = SimpleNamespace(channels=1, records=[SimpleNamespace(share=logged[None])], noise_freedoms=(1e6, 1.0))
+    data = SimpleNamespace(channels=1, records=[SimpleNamespace(share=logged[None])], noise_freedoms=(1e6, 1.0),
+                           accel_noise=np.ones((2, 1)))
     predictor = SimpleNamespace(data=data, longest=np.ones(1, dtype=bool))
     return remainder(predictor, SimpleNamespace(residuals=[(errors * np.sqrt(logged))[None]]))
 
