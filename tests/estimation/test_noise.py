@@ -12,6 +12,7 @@ from station.estimation.noise import (
     noise_of,
     rest_rows,
     rounding_shares,
+    run_by_run,
     scatter,
 )
 from station.runs.run import Run, RunMetadata
@@ -196,3 +197,27 @@ def test_rows_that_were_put_into_gaps_are_no_readings():
     assert len(filled) > 1.9 * len(half)
     (_, accel), freedoms = noise_of([filled])
     assert accel == pytest.approx(3.0, rel=0.06) and freedoms == (999.0, 999.0)
+
+
+def test_runs_whose_rests_scatter_alike_have_one_noise():
+    told = [run_by_run([made(rest, seed=9 * k + r) for r, rest in enumerate((40, 100, 200, 150, 20))])[0]
+            for k in range(60)]
+    assert sum(np.all(share == 1.0) for share in told) >= 56, "one in a hundred is told apart by chance"
+    assert run_by_run([made(100)])[0] == run_by_run([made(100, accel=False), made(90, accel=False)])[0][0] == 1.0
+    assert np.all(run_by_run([made(5), made(4)])[1] == 1.0), "no rest tells anything"
+
+
+def test_runs_whose_rests_differ_have_each_its_own_noise_as_far_as_the_rest_tells_it():
+    sigmas, rests = np.array([0.5, 1.5, 3.0, 1.0, 6.0]), (200, 300, 250, 200, 12)
+    runs = [made(rest, sigma, seed) for seed, (rest, sigma) in enumerate(zip(rests, sigmas, strict=True))]
+    share, freedoms = run_by_run(runs)
+    sizes = np.sqrt(share * (noise_of(runs).sigmas[1] ** 2 + QUANTISATION))
+    assert sizes[:4] == pytest.approx(np.sqrt(sigmas**2 + QUANTISATION)[:4], rel=0.15)
+    assert sizes[3] < sizes[4] < np.std(runs[4].accel[:12], ddof=1), "twelve rows say little, the others that it is rare"
+    assert np.all(np.array(rests) - 1.0 < freedoms) and np.all(freedoms < np.array(rests) + 40.0)
+
+
+def test_a_rest_that_reads_one_count_scatters_by_rounding():
+    runs = [made(100, 2.0), made(100, 1.5, 1), replace(made(100, 0.0), accel=np.full(600, 3.0))]
+    share, _ = run_by_run(runs)
+    assert 0.0 < share[2] < 0.2
