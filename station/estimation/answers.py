@@ -9,8 +9,8 @@ Econometrica 1, 1933), g is the least-squares gain from command to reading in un
 one.  For a command that holds a weight, or an amplifier's bias, moves nothing: of a slow test it may be the most of it,
 and as the torque that it stands against is not the rig's, the angle goes the other way than by the rig file.  The angle
 is predicted a few hundredths of a second ahead, where neither a loop nor a spring has had time to answer, the
-acceleration from the commands alone.  Only of tests that drive the rig: where a loop holds a reference that never
-moves, commands answer the readings, and g is that loop's.
+acceleration from the commands alone.  Only of tests that drive the rig in rows that count: where a loop holds a
+reference that never moves, commands answer the readings, and g is that loop's.
 """
 
 from __future__ import annotations
@@ -85,7 +85,8 @@ def answers(predictor: Predictor) -> list[Answer]:
     driven, still, pushed = (predictor.runs(space, space.mean, data.own + more) for more in (0.0, IDLE, CONSTANT))
     found = []
     for r, (run, record) in enumerate(zip(data.runs, data.records, strict=True)):
-        if run.open_loop or np.ptp(run.reference) > 0.0:
+        asked = (run.command if run.open_loop else run.reference)[record.window]
+        if asked.size and np.ptp(asked) > 0.0:
             for reading, block in zip(READINGS, (0, -1)[: data.channels], strict=False):
                 made, read, idle, more = (rows[block, record.window] for rows in (
                     driven[r], predictor.measured(r), still[r], pushed[r]))

@@ -13,8 +13,9 @@ from station.estimation.answers import CORRELATED, SUSPECT, Answer, answers, ref
 from station.fit import fit
 from station.model.effects.command_bias import CommandBias
 from station.model.effects.coulomb_friction import CoulombFriction
+from station.model.simulate import simulate
 from station.rig import Rig
-from station.runs.run import Run
+from station.runs.run import Run, RunMetadata
 from tests.estimation.made import AXIS, predictions, run_of
 from tests.truth import RIGID_AXIS, SERVO, SFLR, TWO_MASS
 from tests.truth.cases import make_case
@@ -134,6 +135,19 @@ def test_a_loop_that_holds_a_still_reference_answers_for_nothing() -> None:
     rig, runs = made("axis")
     held = [replace(run, reference=np.zeros_like(run.reference)) for run in runs if not run.open_loop]
     assert held and answers(predictions(rig, held)) == []
+
+
+def test_a_log_whose_test_was_over_before_its_state_was_found_answers_for_nothing() -> None:
+    """It begins amid a pulse: the second after that does not count, and then it swings by itself."""
+    rig, rows = Rig.model_validate(SFLR), np.arange(2000)
+    command = np.where((rows >= 50) & (rows < 300), 100.0, 0.0)
+    asked = Run("pulse", rows / rig.sample_rate, command, command, 0.0 * command, 0.0 * command,
+                RunMetadata(controller={"kind": "open"}))
+    made_of = simulate(rig, asked)
+    pulse = replace(asked, encoder=made_of.encoder, accel=made_of.accel)
+    cut = replace(pulse.slice(100, len(pulse)), name="cut")
+    found = answers(predictions(rig, [pulse, cut]))
+    assert {one.run for one in found} == {pulse.name}
 
 
 def test_one_log_with_the_other_sign_is_refused_by_its_name() -> None:
