@@ -38,8 +38,8 @@ SEGMENTS = 40
 FINDS = 0.1
 """Horizon (s) of the observer that finds the state of a rig in motion.  Of a shorter one the base follows the encoder
 so stiffly that the beam's errors ring on as on a clamp; a longer one's base forgets late."""
-WARM = 1.0
-"""Seconds for that: what is wrong of a flexible arm's base and first mode is then below a hundredth."""
+WARM, FOUND = 1.0, 0.01
+"""Seconds for that: what is wrong of a flexible arm's base and first mode is then below a hundredth of what it was."""
 PUSHED = 0.01
 """Largest constant that a motor does of itself, as a share of the amplifier's limit (an offset of its input): it turns
 a rig that is at rest, and a fine encoder shows that at once."""
@@ -355,21 +355,25 @@ def first_seconds(data: Dataset, seconds: float) -> Dataset:
 
 
 def _finding(rig: Rig, run: Run, noise: Sequence[float]) -> np.ndarray:
-    """(n) rows of a run, its gaps filled, that do not count because its state is being found: WARM where it begins in
-    motion, and a gap of which nobody knows the commands with WARM after it."""
+    """(n) rows of a run, its gaps filled, that do not count because its state is being found: where it begins in motion
+    until FOUND of what it moves by at most is left, and a gap of which nobody knows the commands with WARM after it."""
     rows, finding = math.ceil(WARM * rig.sample_rate), np.zeros(len(run), dtype=bool)
-    finding[: rows * _in_motion(rig, run, noise)] = True
+    moving = _moving(rig, run, noise)
+    finding[: math.ceil(rows * math.log(max(moving / FOUND, 1.0)) / -math.log(FOUND))] = moving > 0.0
     for end in np.flatnonzero(np.diff(run.blank.astype(int)) < 0) + 1:
         finding[end: end + rows] = True
     return finding | run.blank
 
 
-def _in_motion(rig: Rig, run: Run, noise: Sequence[float]) -> bool:
-    """Whether a run of more than twice WARM begins in motion.
+def _moving(rig: Rig, run: Run, noise: Sequence[float]) -> float:
+    """With what share of what it moves by at most in FIRST seconds a run of more than twice WARM begins; 0 where it
+    begins at rest.
 
-    It does where its first rows are not those of the nominal rig at rest: times a factor of 0 to 2, beside what a
-    constant of PUSHED of the amplifier's limit either way does, that fit them best.
+    It does where its first rows are those of the nominal rig at rest: times a factor of 0 to 2, beside what a constant
+    of PUSHED of the amplifier's limit either way does, that fit them best.
     """
+    if len(run) <= 2 * WARM * rig.sample_rate:
+        return 0.0
     rows, model = max(math.ceil(FIRST * rig.sample_rate), 3), build(rig)
     first = replace(run.slice(0, rows), metadata=RunMetadata(start="equilibrium"))
 
@@ -377,16 +381,19 @@ def _in_motion(rig: Rig, run: Run, noise: Sequence[float]) -> bool:
         return simulate_model(model, first, rounding=False, more=(0.0, more),
                               start_angle=float(run.encoder[0]) * rig.angle_per_count)
 
-    asked, pushed, moving = made(0.0), made(PUSHED * rig.amplifier.limit), False
+    asked, pushed, moving = made(0.0), made(PUSHED * rig.amplifier.limit), 0.0
     for channel, sigma in zip(SENSORS, noise, strict=False):
         measured, could, further = (getattr(one, channel)[:rows] for one in (run, asked, pushed))
         columns = np.stack([could, further - could], axis=1)
         columns = columns - columns.mean(axis=0)
         fits = lsq_linear(columns, measured - measured.mean(), ([0.0, -1.0], [2.0, 1.0])).x
-        small = FIRST_COUNTS * run.step(channel) + FIRST_SIGMAS * sigma
-        small += FIRST_SHARE * float(np.ptp(getattr(run, channel))) * (channel == "accel")
-        moving |= float(np.ptp(measured - columns @ fits)) > small
-    return moving and len(run) > 2 * WARM * rig.sample_rate
+        read = getattr(run, channel)
+        most = float(np.ptp(read) if channel == "accel" else np.max(np.abs(read[rows:] - read[:-rows])))
+        small = FIRST_COUNTS * run.step(channel) + FIRST_SIGMAS * sigma + FIRST_SHARE * most * (channel == "accel")
+        beyond = float(np.ptp(measured - columns @ fits))
+        if beyond > small:
+            moving = max(moving, min(beyond / max(most, 1e-300), 1.0), 2.0 * FOUND)
+    return moving
 
 
 def _shares(run: Run, window: np.ndarray, noise: Sequence[float]) -> np.ndarray:
