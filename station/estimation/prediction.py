@@ -27,7 +27,17 @@ from station.estimation.pool import Pool
 from station.model.compiled import kernel
 from station.model.effects import Stage
 from station.model.simulate import Model, build, initial_state
-from station.model.stepper import State, advance, advance_plain, begin, encoder_slope, is_plain, sense, sense_plain
+from station.model.stepper import (
+    State,
+    advance,
+    advance_plain,
+    begin,
+    encoder_slope,
+    is_plain,
+    sense,
+    sense_plain,
+    working_room,
+)
 from station.rig import Rig
 
 Accuracy = tuple[float, float, float]
@@ -131,8 +141,7 @@ def _predicted(data: Dataset, model: Model, observers: Sequence[Observer], logs:
     for row, angle in zip(late, angles, strict=True):
         row[: angle.size] = angle
     _predict(model.plan, fresh, starts[0], np.array(states), np.array(torques), late, np.array(decays),
-             logs, np.ascontiguousarray(own), accel_at, out, disturbance,
-             np.zeros((4, max(model.plan.port_joint.size, 1))))
+             logs, np.ascontiguousarray(own), accel_at, out, disturbance, working_room(model.plan))
     return out
 
 

@@ -273,7 +273,7 @@ class Plant:
         self.model = build(rig.meshed())
         self._state = initial_state(self.model, start_angle)
         self._offset = accel_offset
-        self._work = np.zeros((4, max(self.model.plan.port_joint.size, 1)))
+        self._work = stepper.working_room(self.model.plan)
         self._out = np.zeros(2)
         # One tick of another state: what compiles on a fresh machine does so now, not while a host waits for a sample.
         spare = initial_state(self.model, start_angle)

@@ -11,7 +11,8 @@ f in -level Sgn(v) within the step, too: a part is braked by the level until it 
 is within the level at rest, and else moves on the other way.  So sticking is real (the speed is 0, not small), and the
 mean torque of a step in which the motion turns, as that of one in which a joint meets or leaves the edge of its gap,
 follows the instant at which it does, on the straight line between the step's ends: errors are of second order in h, and
-outputs are smooth in the parameters.  The few equations are solved by Gauss-Seidel.
+outputs are smooth in the parameters.  The few equations are solved by Gauss-Seidel, each where it does not contract by
+the secant: a spring that gets stiffer than the step is long answers more than what it is asked by.
 
 Sensors are read at the tick, before the new command acts.
 """
@@ -31,6 +32,8 @@ NONE, ALL, INSIDE = range(3)
 MAX_ITERATIONS = 40
 TOLERANCE = 1e-5
 """Of the ports' speeds, rad/s: 10^-6 of a count over a step."""
+SLOW = 0.5
+"""Share of what was wrong that is left by an iteration, from which on it is no contraction worth the name."""
 LEAST_SLOPE = 0.1
 """Of the encoder's reading by the angle: what an observer divides by."""
 AT_REST = 1e-4
@@ -283,14 +286,15 @@ def _axis_load(laws, axis, torque, given, x, v):
 
 @kernel(forceinline=True)
 def _solve_ports(laws, joints, gains, load_port, axis, given, torque, zero, work):
-    """Port torques over this step, written to ``torque``; ``work`` holds the ports' free and old angles and speeds."""
+    """Port torques over this step, written to ``torque``; ``work`` holds the ports' free and old angles and speeds, and
+    what torque was tried before, and by how much it was wrong."""
     kinds, stiffness, damping = joints
     angle_gain, speed_gain = gains
     ports = kinds.size
-    for _ in range(MAX_ITERATIONS):
+    for iteration in range(MAX_ITERATIONS):
         change = 0.0
         for p in range(ports):
-            angle, speed = work[0, p], work[1, p]
+            angle, speed, hold = work[0, p], work[1, p], 0.0
             for q in range(ports):
                 angle += angle_gain[p, q] * torque[q]
                 speed += speed_gain[p, q] * torque[q]
@@ -316,7 +320,13 @@ def _solve_ports(laws, joints, gains, load_port, axis, given, torque, zero, work
                     level = _port_sum(laws, FRICTION, p, abs(mean), 0.0, load)
                     loose = speed + speed_gain[p, p] * (wanted - torque[p])
                     wanted += _dry(work[3, p], loose, level, hold, speed_gain[p, p])
-            change = max(change, abs(wanted - torque[p]) * speed_gain[p, p])
+            wrong = wanted - torque[p]
+            if iteration > 0 and hold == 0.0 and abs(wrong) > SLOW * abs(work[5, p]) and torque[p] != work[4, p]:
+                slope = (wrong - work[5, p]) / (torque[p] - work[4, p])
+                if slope < -1.0:
+                    wanted = torque[p] - wrong / slope
+            work[4, p], work[5, p] = torque[p], wrong
+            change = max(change, abs(wrong) * speed_gain[p, p])
             torque[p] = wanted
         if change < TOLERANCE:
             break
@@ -578,6 +588,11 @@ def joint_along(laws, stiffness, damping, deflection, rate):
     return out
 
 
+def working_room(plan):
+    """What ``advance`` works in."""
+    return np.zeros((6, max(plan.port_joint.size, 1)))
+
+
 def run_ticks(plan, state, controller, reference, command, closed, command_row, offset, rounding, whole,
               encoder, accel, history, more=(0.0, 0.0)):
     """One whole test; writes command (where closed), encoder, accel (n) and, where asked, history (n, 2b).
@@ -588,6 +603,6 @@ def run_ticks(plan, state, controller, reference, command, closed, command_row, 
     """
     rows, order, accel_order = reference.size, controller.numerator.size, max(controller.accel_denominator.size, 1)
     ticks(plan, state, controller, reference, command, closed, command_row, offset, rounding, whole,
-          encoder, accel, history, more, (np.zeros(rows), np.zeros(rows)), np.zeros((4, max(plan.port_joint.size, 1))),
+          encoder, accel, history, more, (np.zeros(rows), np.zeros(rows)), working_room(plan),
           (np.zeros(order), np.zeros(order), np.zeros(controller.feedback.size)),
           (np.zeros(accel_order), np.zeros(accel_order)))

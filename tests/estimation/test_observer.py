@@ -25,7 +25,7 @@ from station.estimation.observer import (
 )
 from station.model.effects import Effect, effect_class
 from station.model.simulate import build, initial_state
-from station.model.stepper import advance, begin, sense
+from station.model.stepper import advance, begin, sense, working_room
 from station.rig import Encoder, Rig
 from tests.truth import RIGID_AXIS, SERVO, SFLR, TWO_MASS
 
@@ -45,7 +45,7 @@ def errors_left(rig: Rig, horizon: float, noise: float, nominal: Rig | None = No
     (observer,) = observers(nominal or rig, noise, (horizon,))
     model, about = build(rig, 0.1, 1e-3), slopes(rig, MOTION)
     wrong, right = (initial_state(model, angle, 0.0) for angle in (1e-3, 0.0))
-    (gain, at_motor, decay, _), work = correction(observer, model, about), np.zeros((4, model.plan.port_joint.size + 1))
+    (gain, at_motor, decay, _), work = correction(observer, model, about), working_room(model.plan)
     begin(model.plan, wrong)
     begin(model.plan, right)
     torque, found = 0.0, []
@@ -118,7 +118,7 @@ def test_what_noise_makes_of_predictions_is_known(shape: str) -> None:
     quick = observers(rig, 2.0)[0]
     model = build(rig, 0.1, 1e-3)
     state, (gain, at_motor, decay, _) = initial_state(model, 0.0, 0.0), correction(quick, model)
-    work, torque, missed = np.zeros((4, max(model.plan.port_joint.size, 1))), 0.0, []
+    work, torque, missed = working_room(model.plan), 0.0, []
     begin(model.plan, state)
     for noise in drawn.tolist():
         missed.append(noise - sense(model.plan, state, 0.0, False)[0])
@@ -134,7 +134,7 @@ def test_what_one_wrong_reading_makes_of_the_torque_is_known(shape: str) -> None
     """Squared and summed it is what white noise makes of it."""
     quick, model = observers(bare(shape), 2.0)[0], build(bare(shape), 0.1, 1e-3)
     state, (gain, at_motor, decay, _) = initial_state(model, 0.0, 0.0), correction(quick, model)
-    work, torque, torques = np.zeros((4, model.plan.port_joint.size + 1)), 0.0, []
+    work, torque, torques = working_room(model.plan), 0.0, []
     begin(model.plan, state)
     for row in range(math.ceil(12.0 * quick.horizon / model.rig.period)):
         missed = float(row == 0) - sense(model.plan, state, 0.0, False)[0]
@@ -152,7 +152,7 @@ def test_the_share_that_an_observer_shows_of_a_torque_that_stays_is_known(shape:
     rig = bare(shape)
     (observer,), model, acts = observers(rig, 0.1, (horizon,)), build(rig, 0.0, 1e-3), 7.0
     wrong, right = (initial_state(model, 0.0, 0.0) for _ in range(2))
-    (gain, at_motor, decay, _), work = correction(observer, model), np.zeros((4, model.plan.port_joint.size + 1))
+    (gain, at_motor, decay, _), work = correction(observer, model), working_room(model.plan)
     begin(model.plan, wrong)
     begin(model.plan, right)
     torque = 0.0

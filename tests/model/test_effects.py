@@ -428,7 +428,7 @@ def friction(name: str, at: str) -> Effect:
 
 def motion(model: Model, command: np.ndarray) -> np.ndarray:
     """Angles and speeds (n, 2 coordinates) after each period of an open loop, from rest."""
-    state, work, out, rows = initial_state(model), np.zeros((4, 4)), np.zeros(2), []
+    state, work, out, rows = initial_state(model), stepper.working_room(model.plan), np.zeros(2), []
     stepper.begin(model.plan, state)
     for count in command:
         stepper.tick(model.plan, state, float(count), 0.0, False, work, out)
