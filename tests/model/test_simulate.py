@@ -160,6 +160,18 @@ def test_simulation_converges_with_its_step(rig, row):
         assert gaps[1] < 0.35 * gaps[0] + 1e-9 and gaps[2] < 0.35 * gaps[1] + 1e-9
 
 
+@pytest.mark.parametrize("cubic", [3e4, 3e5])
+def test_a_clamp_that_gets_stiffer_than_the_step_is_long_does_not_run_away(rig, cubic):
+    """Up to 24 and 54 times as stiff as it is at rest."""
+    machine, run = rig.with_effects(effects(("hardening_spring", "clamp", {"cubic": cubic}))), make_run(STEP, "lead_accel")
+    exact, *made = (simulate_model(build(machine, longest=longest), run, rounding=False)
+                    for longest in (2e-5, 1e-3, 5e-4, 1e-4))
+    encoder, accel = ([np.abs(getattr(one, channel) - getattr(exact, channel)).max() for one in made]
+                      for channel in ("encoder", "accel"))
+    assert encoder[0] < 0.3 and encoder[1] < 0.03 and encoder[2] < 0.01
+    assert accel[0] < 15.0 and accel[1] < 0.2 * accel[0] and accel[2] < 0.2 * accel[1]
+
+
 @pytest.mark.parametrize("elements", [4, 20])
 def test_truncation_bound_holds_on_random_commands(rig, elements):
     fine = rig.model_copy(update={"beam": rig.beam.model_copy(update={"elements": elements})})
