@@ -472,8 +472,8 @@ def centred(predictor: Predictor, found: Fit, complete: bool) -> tuple[Parameter
 
 def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
            told: Callable[[float, str], None] = lambda share, label: None, anew: bool = False) -> None:
-    """Fit sets to the end, each with what runs differ by by itself, side by side; ``anew``: from nominal constants, too,
-    for the rig alone bends them farthest.
+    """Fit sets to the end, each with what runs differ by by itself, side by side; ``anew``: from nominal constants,
+    too, for the rig alone bends them farthest.
 
     Where a set may do without (``Selection.evidence``) it is fitted so, too: what runs differ by stood in for its
     causes, and about that fit the runs do differ.  Not where it is expected to be no rival of itself then.

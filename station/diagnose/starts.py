@@ -98,11 +98,11 @@ def arrived(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.n
             **how: Any) -> Fit | None:
     """The same or, if that is better, one whose constants begin nominal where they are no causes.
 
-    What was bent to make up for a cause that was not there yet may lead to another size of it.  A gap is led there, too,
-    by horizons that double from the shortest to FARTHEST: after a few blows of one that is a little wrong a run is out
-    of step, so that the objective of long horizons has a valley at every size and the shortest says little.  The shorter
-    the horizon the smoother it is (Ribeiro, Tiels, Umenberger, Schon and Aguirre, Automatica 121, 2020): each ends where
-    the next is smooth.
+    What was bent to make up for a cause that was not there yet may lead to another size of it.  A gap is led there by
+    horizons that double from the shortest to FARTHEST: after a few blows of one that is a little wrong a run is out of
+    step, so that the objective of long horizons has a valley at every size and the shortest says little.  The shorter
+    the horizon the smoother it is (Ribeiro, Tiels, Umenberger, Schon and Aguirre, Automatica 121, 2020): each ends
+    where the next is smooth.
     """
     ends = [attempted(predictor, space, weighing, x, own, **how)]
     data, horizon = predictor.data, predictor.observers[0].horizon

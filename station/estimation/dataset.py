@@ -322,7 +322,8 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
         for run, window, zero, first, count
         in zip(runs, windows or [slice(None)] * len(runs), zero_ids, np.cumsum(parts) - parts, parts, strict=True))
     return Dataset(meshed, records, noise=noise.sigmas, noise_freedoms=noise.freedoms, accel_noise=accel_noise,
-                   clock=clock_evidence(tests), segment_run=np.repeat(np.arange(len(runs)), parts), carried=_carried(meshed, tests))
+                   clock=clock_evidence(tests), segment_run=np.repeat(np.arange(len(runs)), parts),
+                   carried=_carried(meshed, tests))
 
 
 def _record(rig: Rig, run: Run, window: slice, noise: Sequence[float], zero_group: int, segment: np.ndarray) -> Record:

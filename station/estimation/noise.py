@@ -118,9 +118,9 @@ def run_by_run(runs: list[Run]) -> tuple[np.ndarray, np.ndarray]:
     """(runs) variance of the accelerometer's readings in each run, over that of all runs together, and its degrees of
     freedom, at least 1: motor and amplifier disturb it in each by what they do there.
 
-    Each rest's mean square s of d degrees of freedom is taken to scatter about v, s/v ~ F(d, nu), with nu most likely of
-    all runs together; a run's own variance is (nu v + d s)/(nu + d) (empirical Bayes: Smyth, Stat. Appl. Genet. Mol.
-    Biol. 3, 2004).  Where that is not DIFFER likelier than one variance for all, it is one.
+    Each rest's mean square s of d degrees of freedom is taken to scatter about v, s/v ~ F(d, nu), with v and nu most
+    likely of all runs together; a run's own variance is (nu v + d s)/(nu + d) (empirical Bayes: Smyth, Stat. Appl.
+    Genet. Mol. Biol. 3, 2004).  Where that is not DIFFER likelier than one variance for all, it is one.
     """
     sums, freedoms = _rests(runs)[1]
     sums = np.maximum(sums, QUANTISATION * accel_step(runs) ** 2 * freedoms)

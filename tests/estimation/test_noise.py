@@ -213,7 +213,8 @@ def test_runs_whose_rests_differ_have_each_its_own_noise_as_far_as_the_rest_tell
     share, freedoms = run_by_run(runs)
     sizes = np.sqrt(share * (noise_of(runs).sigmas[1] ** 2 + QUANTISATION))
     assert sizes[:4] == pytest.approx(np.sqrt(sigmas**2 + QUANTISATION)[:4], rel=0.15)
-    assert sizes[3] < sizes[4] < np.std(runs[4].accel[:12], ddof=1), "twelve rows say little, the others that it is rare"
+    own = np.std(runs[4].accel[:12], ddof=1)
+    assert sizes[3] < sizes[4] < own, "twelve rows say little, and the others that so much is rare"
     assert np.all(np.array(rests) - 1.0 < freedoms) and np.all(freedoms < np.array(rests) + 40.0)
 
 

@@ -23,7 +23,8 @@ def made(table: dict, *rows: tuple[str, str, dict]) -> Rig:
 def motion(rig: Rig, command: np.ndarray, zero: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Angles and speeds (n + 1, coordinates) at the ticks of an open loop."""
     model = build(rig, truncation=0.0, longest=1e-4)
-    state, work, out, n = initial_state(model, zero=zero), stepper.working_room(model.plan), np.zeros(2), model.assembly.size
+    state, work, out = initial_state(model, zero=zero), stepper.working_room(model.plan), np.zeros(2)
+    n = model.assembly.size
     stepper.begin(model.plan, state)
     rows = [model.form.basis @ state.z]
     for count in command:

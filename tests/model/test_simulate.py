@@ -163,7 +163,8 @@ def test_simulation_converges_with_its_step(rig, row):
 @pytest.mark.parametrize("cubic", [3e4, 3e5])
 def test_a_clamp_that_gets_stiffer_than_the_step_is_long_does_not_run_away(rig, cubic):
     """Up to 24 and 54 times as stiff as it is at rest."""
-    machine, run = rig.with_effects(effects(("hardening_spring", "clamp", {"cubic": cubic}))), make_run(STEP, "lead_accel")
+    machine = rig.with_effects(effects(("hardening_spring", "clamp", {"cubic": cubic})))
+    run = make_run(STEP, "lead_accel")
     exact, *made = (simulate_model(build(machine, longest=longest), run, rounding=False)
                     for longest in (2e-5, 1e-3, 5e-4, 1e-4))
     encoder, accel = ([np.abs(getattr(one, channel) - getattr(exact, channel)).max() for one in made]
