@@ -488,7 +488,8 @@ def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
                    to_the_end=to_the_end)
 
     fits, jobs = list(fits), []
-    sought = {found.key for found in fits if anew or not complete and has_gap(found.space)} - search.arrived
+    sought = {found.key for found in fits if anew or found.space.zeros or not complete and has_gap(found.space)}
+    sought -= search.arrived
     search.arrived |= sought
     for found in fits:
         own = search.own_weighing(found).differ

@@ -26,7 +26,7 @@ from station.estimation.constants import FIRST_SECONDS, in_step, unknown
 from station.estimation.dataset import first_seconds
 from station.estimation.fitted import Fit
 from station.estimation.least_squares import DIVERGED, fit, point
-from station.estimation.likelihood import Weighing, cost
+from station.estimation.likelihood import Weighing, cost, rho
 from station.estimation.observer import Observer, observers
 from station.estimation.parameters import WIDE, Parameters, parameters
 from station.estimation.prediction import Predictor
@@ -40,6 +40,8 @@ AWAY = np.arange(-6, 7) / 2.0
 """Sigmas of that prior from nominal at which the objective is worked out: steps of a factor of 2.1."""
 SECONDS = FIRST_SECONDS[1]
 """Stretch after the first command for that: a period of a beam's slowest mode."""
+AROUND = 24
+"""Angles at which an encoder's zero is tried, evenly spaced over a turn: a sine is nearly straight between two."""
 FARTHEST = 0.5
 """Longest horizon ahead by which a gap is sought, s: some ten blows of light masses on a soft shaft."""
 
@@ -96,7 +98,8 @@ def _led_by(watched: tuple[Observer, ...], predictor: Predictor, space: Paramete
 
 def arrived(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.ndarray, own: np.ndarray,
             **how: Any) -> Fit | None:
-    """The same or, if that is better, one whose constants begin nominal where they are no causes.
+    """The same or, if that is better, one whose constants begin nominal where they are no causes, and from the better
+    one whose encoders' zeros are ``turned``.
 
     What was bent to make up for a cause that was not there yet may lead to another size of it.  A gap is led there by
     horizons that double from the shortest to FARTHEST: after a few blows of one that is a little wrong a run is out of
@@ -113,7 +116,34 @@ def arrived(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.n
             break
         x, own, horizon = near.x, near.own, 2.0 * horizon
     ends.append(attempted(predictor, space, weighing, x, own, **how))
-    return min(filter(None, ends), key=lambda one: one.objective, default=None)
+    best = min(filter(None, ends), key=lambda one: one.objective, default=None)
+    if best is None or not space.zeros or (x := turned(predictor, best)) is None:
+        return best
+    again = attempted(predictor, space, weighing, x, data.own, **how)
+    return min(best, again or best, key=lambda one: one.objective)
+
+
+def turned(predictor: Predictor, found: Fit) -> np.ndarray | None:
+    """(p) the parameters of a fit, constants nominal that are no causes, and each encoder's zero, as far as it is
+    unknown, at that of AROUND angles at which its own runs are met best with nothing else of their own; None where all
+    stay.
+
+    Of a force that goes by a sine a run shows little more than where it stands, and that it does in two places, or a
+    constant of its own stands for it.
+    """
+    space, groups, costs = found.space, np.array(predictor.data.zero_groups), []
+    begun = _else_nominal(space, found.x)
+    zeros, turns = space.parts["zeros"], 2.0 * np.pi * np.arange(AROUND) / AROUND
+    for turn in turns:
+        x = begun.copy()
+        x[zeros] += turn
+        with np.errstate(over="ignore", invalid="ignore"):
+            made = point(predictor, space, found.weighing, x, predictor.data.own).squares
+            costs.append(np.sum(found.weighing.independent * rho(made / found.counts), axis=1))
+    by_run = np.nan_to_num(costs, nan=np.inf)
+    best = [turns[np.argmin(by_run[:, groups == group].sum(axis=1))] for group in space.free_zeros]
+    begun[zeros] = np.remainder(begun[zeros] + best + np.pi, 2.0 * np.pi) - np.pi
+    return begun if any(best) else None
 
 
 def _else_nominal(space: Parameters, x: np.ndarray) -> np.ndarray:

@@ -356,19 +356,20 @@ def first_seconds(data: Dataset, seconds: float) -> Dataset:
 
 
 def _finding(rig: Rig, run: Run, noise: Sequence[float]) -> np.ndarray:
-    """(n) rows of a run, its gaps filled, that do not count because its state is being found: where it begins in motion
-    until FOUND of what it moves by at most is left, and a gap of which nobody knows the commands with WARM after it."""
+    """(n) rows of a run, its gaps filled, that do not count because its state is being found: WARM where it begins in
+    motion, a beam that rings by a share of what it ever does until FOUND is left, and a gap of which nobody knows the
+    commands with WARM after it."""
     rows, finding = math.ceil(WARM * rig.sample_rate), np.zeros(len(run), dtype=bool)
     moving = _moving(rig, run, noise)
-    finding[: math.ceil(rows * math.log(max(moving / FOUND, 1.0)) / -math.log(FOUND))] = moving > 0.0
+    finding[: math.ceil(rows * (1.0 - math.log(max(moving, FOUND)) / math.log(FOUND)))] = True
     for end in np.flatnonzero(np.diff(run.blank.astype(int)) < 0) + 1:
         finding[end: end + rows] = True
     return finding | run.blank
 
 
 def _moving(rig: Rig, run: Run, noise: Sequence[float]) -> float:
-    """With what share of what it moves by at most in FIRST seconds a run of more than twice WARM begins; 0 where it
-    begins at rest.
+    """With how much of its motion a run of more than twice WARM begins: 1 where the encoder shows some, a share of all
+    that the accelerometer reads where that alone does; 0 where it begins at rest.
 
     It does where its first rows are those of the nominal rig at rest: times a factor of 0 to 2, beside what a constant
     of PUSHED of the amplifier's limit either way does, that fit them best.
@@ -388,13 +389,11 @@ def _moving(rig: Rig, run: Run, noise: Sequence[float]) -> float:
         columns = np.stack([could, further - could], axis=1)
         columns = columns - columns.mean(axis=0)
         fits = lsq_linear(columns, measured - measured.mean(), ([0.0, -1.0], [2.0, 1.0])).x
-        read = getattr(run, channel)
-        most = float(np.ptp(read) if channel == "accel" else np.max(np.abs(read[rows:] - read[:-rows])))
+        beyond, most = float(np.ptp(measured - columns @ fits)), float(np.ptp(getattr(run, channel)))
         small = FIRST_COUNTS * run.step(channel) + FIRST_SIGMAS * sigma + FIRST_SHARE * most * (channel == "accel")
-        beyond = float(np.ptp(measured - columns @ fits))
         if beyond > small:
-            moving = max(moving, min(beyond / max(most, 1e-300), 1.0), 2.0 * FOUND)
-    return moving
+            moving = max(moving, beyond / most if channel == "accel" else 1.0)
+    return min(moving, 1.0)
 
 
 def _shares(run: Run, window: np.ndarray, noise: Sequence[float]) -> np.ndarray:

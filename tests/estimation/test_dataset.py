@@ -84,11 +84,10 @@ def test_a_run_begins_in_motion_where_its_first_rows_do_what_a_rig_at_rest_canno
     pulses = run_of(AXIS, 60.0, "open", "pulses", 3.0)
     cuts = [pulses.slice(first) for first in (0, 20, 49, 100, 150)]
     rows = round(WARM * AXIS.sample_rate)
-    found = [record.finding.sum() for record in dataset(AXIS, cuts).records]
-    assert found[:3] == [0, 0, 0] and all(0.7 * rows < one <= rows for one in found[3:])
+    assert [record.finding.sum() for record in dataset(AXIS, cuts).records] == [0, 0, 0, rows, rows]
 
 
-def test_the_less_a_run_begins_with_the_sooner_its_state_is_found() -> None:
+def test_the_less_a_beam_rings_at_first_the_sooner_its_state_is_found() -> None:
     rig, run = load_rig("sflr"), step_run(rows=1200)
     rows, most = round(WARM * rig.sample_rate), np.ptp(run.accel)
     still = np.zeros(4000)
