@@ -30,6 +30,7 @@ from station.diagnose.starts import (
     has_gap,
     may_stick,
     rigid_starts,
+    seeks_zeros,
 )
 from station.diagnose.thresholds import CLOSE, LOG_PRIOR, LOG_PRIOR_PARAMETER, WORTH_A_FIT
 from station.estimation.cause import Causes, Key, Sizes, is_constant
@@ -488,7 +489,8 @@ def _refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
                    to_the_end=to_the_end)
 
     fits, jobs = list(fits), []
-    sought = {found.key for found in fits if anew or found.space.zeros or not complete and has_gap(found.space)}
+    sought = {found.key for found in fits
+              if anew or seeks_zeros(found.space) or not complete and has_gap(found.space)}
     sought -= search.arrived
     search.arrived |= sought
     for found in fits:

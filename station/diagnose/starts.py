@@ -70,6 +70,11 @@ def has_gap(space: Parameters) -> bool:
     return any(cls.stage is Stage.GAP for cls, _ in space.hypothesis.effects)
 
 
+def seeks_zeros(space: Parameters) -> bool:
+    """Whether a cause of a hypothesis goes by the absolute angle, and some encoder's zero is not known."""
+    return space.known_zeros > 0 and space.zeros > 0
+
+
 def may_stick(space: Parameters) -> bool:
     """Whether a hypothesis holds a friction that holds a rig at rest."""
     return any(cls.stage is Stage.FRICTION for cls, _ in space.hypothesis.effects)
@@ -117,7 +122,7 @@ def arrived(predictor: Predictor, space: Parameters, weighing: Weighing, x: np.n
         x, own, horizon = near.x, near.own, 2.0 * horizon
     ends.append(attempted(predictor, space, weighing, x, own, **how))
     best = min(filter(None, ends), key=lambda one: one.objective, default=None)
-    if best is None or not space.zeros or (x := turned(predictor, best)) is None:
+    if best is None or not seeks_zeros(space) or (x := turned(predictor, best)) is None:
         return best
     again = attempted(predictor, space, weighing, x, data.own, **how)
     return min(best, again or best, key=lambda one: one.objective)
