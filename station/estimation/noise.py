@@ -24,7 +24,7 @@ counts, for its rounding error runs through all its values meanwhile; of a longe
 ASKED = 0.01
 """Share of a run's largest command that asks nothing yet: that of a loop that holds what rests, toggling by a count."""
 LEAST = 10
-"""Fewest that tell what a sensor scatters by."""
+"""Fewest rows at rest that tell what a sensor scatters by."""
 FREEDOMS = np.array([2.0, 8.0, 32.0, 1e9])
 """Degrees of freedom that are tried of what mean squares scatter about: from runs that have nothing in common to runs
 that are alike."""
