@@ -42,9 +42,9 @@ def remainder(predictor: Predictor, found: Fit) -> Remainder:
     """Judge the errors of a fit.
 
     The encoder's are those of the longest horizon: an observer that forgets feeds the sensor's noise back into what it
-    predicts, so that its errors are larger than the noise.  Errors count by their share.  A sum over SPAN samples, m of
-    which count, has the variance m where errors last 1/share < SPAN samples, and (sum sqrt(share))^2 where one error
-    lasts all through.
+    predicts, so that its errors are larger than the noise.  The accelerometer's are held against the noise of their own
+    run.  Errors count by their share.  A sum over SPAN samples, m of which count, has the variance m where errors last
+    1/share < SPAN samples, and (sum sqrt(share))^2 where one error lasts all through.
     """
     data = predictor.data
     size, slow = [], []

@@ -1,7 +1,10 @@
 """Every threshold that decides something in a diagnosis, with where it comes from.
 
-Tolerances and step lengths of the numerics stand beside their code; what stands here decides what is said.
+Tolerances and step lengths of the numerics stand beside their code; what stands here decides what is said.  VARIES
+decides in the estimation, too, and stands there with its source.
 """
+
+from station.estimation.noise import VARIES as VARIES
 
 LOG_PRIOR = -4.4
 """Log prior odds that any one further cause is present: even odds that anything is missing, shared among the eighty
@@ -30,9 +33,6 @@ BEYOND = 3.0
 VISIBLE = 25.0
 """Fall of -2 ln L at which an effect of a usual size shows: five sigma, so that among some hundred guesses none shows
 by chance."""
-VARIES = 5.41
-"""2 ln of the likelihood ratio from which on a parameter is said to differ from run to run: one in a hundred where it
-does not (half of chi squared with one degree of freedom; Self and Liang, J. Am. Stat. Assoc. 82, 1987)."""
 NOISE = 6.0
 """z-score of what is left, over runs and channels, beyond which it is no noise: five sigma and one for non-Gaussian
 rounding."""

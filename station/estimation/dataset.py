@@ -307,7 +307,8 @@ def dataset(rig: Rig, runs: Sequence[Run], windows: Sequence[slice] | None = Non
         if fault := run.rate_fault(rig.sample_rate):
             raise WorkError(f"{run.name}: {fault}")
     noise, digests = noise_of(tests), [content(run) for run in runs]
-    accel_noise = np.stack(run_by_run(tests))[:, [list(dict.fromkeys(digests)).index(digest) for digest in digests]]
+    of_test = dict(zip(dict.fromkeys(digests), np.transpose(run_by_run(tests)), strict=True))
+    accel_noise = np.transpose([of_test[digest] for digest in digests])
     meshed = rig.meshed()
     if rig.beam is not None:    # it need not be quite uniform
         meshed = meshed.model_copy(update={"uncertainty": {**dict.fromkeys(sorted(PROFILE), RIGIDITY),

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize_scalar
-from scipy.special import chdtri, gammaln
+from scipy.special import gammaln
 
 from station.runs.run import Run
 
@@ -28,9 +28,9 @@ LEAST = 10
 FREEDOMS = np.array([2.0, 8.0, 32.0, 1e9])
 """Degrees of freedom that are tried of what mean squares scatter about: from runs that have nothing in common to runs
 that are alike."""
-DIFFER = float(chdtri(1, 2.0 * 0.01))
-"""2 ln of the likelihood ratio from which on runs do not read alike: one in a hundred where they do (Self and Liang, J.
-Am. Stat. Assoc. 82, 1987)."""
+VARIES = 5.41
+"""2 ln of the likelihood ratio from which on something is said to differ from run to run: one in a hundred where it
+does not (half of chi squared with one degree of freedom; Self and Liang, J. Am. Stat. Assoc. 82, 1987)."""
 RESTS = 100
 """Most rows at rest that say where a run begins."""
 ORDER = 8
@@ -120,7 +120,7 @@ def run_by_run(runs: list[Run]) -> tuple[np.ndarray, np.ndarray]:
 
     Each rest's mean square s of d degrees of freedom is taken to scatter about v, s/v ~ F(d, nu), with v and nu most
     likely of all runs together; a run's own variance is (nu v + d s)/(nu + d) (empirical Bayes: Smyth, Stat. Appl.
-    Genet. Mol. Biol. 3, 2004).  Where that is not DIFFER likelier than one variance for all, it is one.
+    Genet. Mol. Biol. 3, 2004).  Where that is not VARIES likelier than one variance for all, it is one.
     """
     sums, freedoms = _rests(runs)[1]
     sums = np.maximum(sums, QUANTISATION * accel_step(runs) ** 2 * freedoms)
@@ -135,7 +135,7 @@ def run_by_run(runs: list[Run]) -> tuple[np.ndarray, np.ndarray]:
                                 bounds=(math.log(square.min()) - 1.0, math.log(square.max()) + 1.0))
         return float(found.fun), nu, math.exp(found.x)
     (least, nu, v), (one, *_) = min(map(about, FREEDOMS[:-1].tolist())), about(float(FREEDOMS[-1]))
-    if one - least < DIFFER:
+    if one - least < VARIES:
         return same
     return (nu * v + sums / alike) / (nu + freedoms), nu + freedoms
 

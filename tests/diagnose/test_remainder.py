@@ -43,6 +43,16 @@ def test_white_noise_is_noise_and_a_slow_swing_a_third_as_strong_is_not(logged: 
     assert left(rng.standard_normal(ROWS) + swing, logged).slow.max() > NOISE
 
 
+@pytest.mark.parametrize(("variance", "noise"), [(1.0, False), (4.0, True), (16.0, True)])
+def test_an_accelerometers_errors_are_held_against_the_noise_of_their_own_run(variance: float, noise: bool) -> None:
+    """Of twice the noise of all runs; the encoder's are as large as rounding makes them."""
+    share, errors = np.ones((2, ROWS)), np.random.default_rng(5).standard_normal((2, ROWS)) * [[1.0], [2.0]]
+    data = SimpleNamespace(channels=2, records=[SimpleNamespace(share=share)], noise_freedoms=(1e6, 1e6),
+                           accel_noise=np.array([[variance], [1e6]]))
+    found = remainder(SimpleNamespace(data=data, longest=np.ones(2, dtype=bool)), SimpleNamespace(residuals=[errors]))
+    assert found.is_noise == noise and abs(found.size[0, 0]) < NOISE
+
+
 @cache
 def fitted(hidden: str) -> tuple[Predictor, dict[str, Fit]]:
     """Of an axis with a coarse encoder, the rig alone and with the delay that acts, or with none that acts."""
