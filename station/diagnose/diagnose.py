@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from station.diagnose import PREPARE
 from station.diagnose.disturbance import disturbance
+from station.diagnose.effort import EFFORTS
 from station.diagnose.equivalences import Setting, completed, exact_sizes, rivals, standing, with_word
 from station.diagnose.estimates import estimates, rig_of, with_sizes
 from station.diagnose.experiment import choose
@@ -28,7 +29,8 @@ from station.diagnose.result import (
     RunFile,
     Verdict,
 )
-from station.diagnose.selection import EFFORTS, Selection, select
+from station.diagnose.search import select
+from station.diagnose.selection import Selection
 from station.diagnose.thresholds import FEW
 from station.diagnose.unseen import sized, unseen
 from station.diagnose.validation import gain, nominal, not_closed, seconds_ahead

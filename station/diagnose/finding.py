@@ -10,9 +10,10 @@ from scipy.special import expit
 
 from station.diagnose.collinear import collinear
 from station.diagnose.odds import RESAMPLES, Odds, by_law, odds, resamples
+from station.diagnose.refits import fitted
 from station.diagnose.remainder import Remainder, remainder
 from station.diagnose.result import BetweenRuns, OwnOfRun
-from station.diagnose.selection import Selection, fitted
+from station.diagnose.selection import Selection
 from station.diagnose.thresholds import LOG_PRIOR, OUTSIDE, STABLE, VARIES
 from station.diagnose.verdict import Stated, stated
 from station.estimation.cause import Causes, Key

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from station.diagnose.diagnose import diagnose
+from station.diagnose.refits import THOROUGH
 from station.diagnose.result import RunComparison
-from station.diagnose.selection import THOROUGH
 from station.diagnose.starts import arrived, attempted
 from station.diagnose.trials import OPEN, Trial
 from station.diagnose.wrong import wrong

@@ -10,8 +10,8 @@ import pytest
 
 from station.diagnose import screening
 from station.diagnose.candidates import Candidate, candidates
+from station.diagnose.rung import begun
 from station.diagnose.screening import Screened, screen
-from station.diagnose.selection import begun
 from station.estimation.cause import Key
 from station.estimation.constants import base_fit, unknown
 from station.estimation.fitted import Fit, weighing_of

@@ -10,10 +10,14 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from station.diagnose import selection
+from station.diagnose import refits, selection
 from station.diagnose.candidates import candidates
+from station.diagnose.effort import EFFORTS
+from station.diagnose.refits import finish, look_back
+from station.diagnose.rung import taking_in
 from station.diagnose.screening import Screened
-from station.diagnose.selection import EFFORTS, Selection, _finish, _look_back, leading, taking_in
+from station.diagnose.search import leading
+from station.diagnose.selection import Selection
 from station.diagnose.thresholds import LOG_PRIOR, LOG_PRIOR_PARAMETER
 from station.estimation.cause import constant
 from station.estimation.constants import base_fit
@@ -200,7 +204,7 @@ def test_a_law_must_hold_against_one_that_it_holds_fitted_from_where_it_ended() 
     levels = {"static_torque": 1.5 * torque, "coulomb_torque": torque, "stribeck_velocity": 0.2}
     ended(STRIBECK, sizes={stribeck: levels})
     assert search.best().key == {stribeck}
-    _look_back(search, search.best())
+    look_back(search, search.best())
     assert search.best().key == {coulomb}
     assert search.best().space.values(search.best().x)[coulomb]["torque"] == pytest.approx(torque, rel=0.02)
 
@@ -220,7 +224,7 @@ def test_a_law_must_hold_against_what_it_nearly_is_where_it_ended(
         space = parameters(predictor.data, Hypothesis(effects), begun)
         search.keep(fit(search.predictor, space, search.weighing, space.mean.copy()))
     assert search.best().key == {law}
-    _look_back(search, search.best())
+    look_back(search, search.best())
     assert search.best().key == {truth}
     found = search.best().space.values(search.best().x)[truth]
     assert found == pytest.approx(sized, rel=0.02, abs=0.002)
@@ -258,9 +262,9 @@ def test_a_best_set_that_ended_elsewhere_is_looked_back_upon_before_it_is_told()
         search.weigh(search.best())
         assert search.best().key == {coulomb, delay}
         if seen:
-            _look_back(search, search.best())
+            look_back(search, search.best())
             del search.fits[frozenset({coulomb})]
-        _finish(search)
+        finish(search)
         assert (frozenset({coulomb}) in search.fits) != seen
         if not seen:
             assert search.best().key == {coulomb}
@@ -313,13 +317,13 @@ def test_what_errors_count_for_is_read_off_the_best_set_however_often_that_chang
             return found
 
     refitted = []
-    monkeypatch.setattr(selection, "_refit", lambda search, fits, to_the_end: refitted.append(search.weighed_by))
-    monkeypatch.setattr(selection, "_look_back", lambda search, one: None)
+    monkeypatch.setattr(refits, "refit", lambda search, fits, to_the_end: refitted.append(search.weighed_by))
+    monkeypatch.setattr(refits, "look_back", lambda search, one: None)
     search = Turning(**vars(searching()))
     for effects in ((), (FRICTION,), (STRIBECK,), (CLOCK,)):
         search.keep(found(10.0, *effects))
     search.weighed_by = frozenset({("another", "")})
-    _finish(search)
+    finish(search)
     assert len(refitted) == rounds and (search.wanted == search.reading) == (turns < 1000)
 
 

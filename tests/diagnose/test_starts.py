@@ -12,7 +12,7 @@ import pytest
 
 from station.diagnose.candidates import candidates
 from station.diagnose.diagnose import diagnose
-from station.diagnose.selection import THOROUGH
+from station.diagnose.refits import THOROUGH
 from station.diagnose.starts import JOINTS, Start, arrived, attempted, far_starts, rigid_starts
 from station.estimation.constants import base_fit, in_step, unknown
 from station.estimation.least_squares import fit

@@ -8,8 +8,8 @@ import pytest
 
 from station.diagnose.candidates import candidates
 from station.diagnose.diagnose import diagnose
+from station.diagnose.rung import begun, held_loads
 from station.diagnose.screening import screen
-from station.diagnose.selection import begun, held_loads
 from station.diagnose.starts import ahead_first, arrived, may_stick
 from station.diagnose.thresholds import CLOSE
 from station.estimation.constants import base_fit
