@@ -38,8 +38,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from station.estimation.dataset import PUSHED, Dataset
+from station.estimation.dataset import Dataset
 from station.estimation.noise import FREEDOMS, surprise
+from station.estimation.record import PUSHED
 from station.rig import Rig
 
 SHARES = np.concatenate([[-80.0], np.linspace(math.log(1e-10), math.log(1e4), 65)])

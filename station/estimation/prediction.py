@@ -19,11 +19,12 @@ from pathlib import Path
 
 import numpy as np
 
-from station.estimation.dataset import Dataset, Logs
+from station.estimation.dataset import Dataset
 from station.estimation.likelihood import blocks_independent
 from station.estimation.observer import Observer, Slopes, correction, slopes
 from station.estimation.parameters import Parameters
 from station.estimation.pool import Pool
+from station.estimation.record import Logs
 from station.model.compiled import kernel
 from station.model.effects import Stage
 from station.model.simulate import Model, build, initial_state

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from station.errors import WorkError
-from station.estimation.dataset import SEGMENTS, WARM, by_content, dataset
+from station.estimation.dataset import SEGMENTS, by_content, dataset
 from station.estimation.noise import rounding_shares
+from station.estimation.record import WARM
 from station.model.effects import USUAL_SPEED, effect_class
 from station.rig import Rig, load_rig
 from station.runs.run import Run

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from station.errors import WorkError
-from station.estimation.dataset import WARM, dataset
+from station.estimation.dataset import dataset
 from station.estimation.observer import observers
 from station.estimation.parameters import Hypothesis, parameters
 from station.estimation.pool import Pool
 from station.estimation.prediction import SEARCH, Predictor, predict_run
+from station.estimation.record import WARM
 from station.model.simulate import build
 from station.rig import load_rig
 from station.runs import Run

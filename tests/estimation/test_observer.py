@@ -9,14 +9,12 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
+from station.estimation.filter import _solved, filter_of, steady_gain
 from station.estimation.observer import (
     UNMODELLED,
     Observer,
     _corrected,
-    _filter,
-    _gain,
     _slowest,
-    _solved,
     correction,
     noise_gain,
     observers,
@@ -205,7 +203,8 @@ def test_a_loose_joint_forgets_as_fast_in_any_unit_of_torque(left: float, gain: 
         model = build(nominal.with_constants({"motor.gain": factor * nominal.motor.gain}), 0.1, 1e-3)
         about = (("drive", (left - 1.0) * nominal.drive.stiffness),)
         at, kept = correction(observer, model, about), _corrected(observer, model.form)
-        system, gains = _filter(model, observer.horizon, kept, about), [*at.state[model.form.columns(kept)], at.torque]
+        system = filter_of(model, observer.horizon, kept, about)
+        gains = [*at.state[model.form.columns(kept)], at.torque]
         found.append([*at.state, factor * at.torque])
         state, left_over = system.first.copy(), 0.0
         for _ in range(math.ceil(12.0 * observer.horizon / nominal.period)):
@@ -232,11 +231,12 @@ def test_another_mesh_is_corrected_alike(elements: int) -> None:
 def test_the_gain_is_that_of_scipys_riccati_equation(shape: str, log_size: float) -> None:
     """The steady one, after a million rows."""
     model, horizon, variance = build(bare(shape), 0.1, 1e-3), 0.05, 0.1
-    system = _filter(model, horizon, _slowest(model, horizon))
+    system = filter_of(model, horizon, _slowest(model, horizon))
     noise = math.exp(2.0 * log_size) * (1.0 - system.decay**2) * np.outer(system.enters, system.enters)
     p = solve_discrete_are(system.f.T, system.h[:, None], noise, [[variance]])
     expected = p @ system.h / (system.h @ p @ system.h + variance)
-    np.testing.assert_allclose(_gain(system, variance, log_size, 20), expected, atol=1e-10 * np.abs(expected).max())
+    gain = steady_gain(system, variance, log_size, 20)
+    np.testing.assert_allclose(gain, expected, atol=1e-10 * np.abs(expected).max())
 
 
 def test_elimination_chooses_its_pivots() -> None:
