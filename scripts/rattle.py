@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from station.diagnose.validation import whole_run
+from station.diagnose.whole_run import whole_run
 from station.estimation.cause import Sizes
 from station.estimation.dataset import Dataset, dataset
 from station.estimation.parameters import Hypothesis, Parameters, parameters

@@ -11,7 +11,7 @@ import numpy as np
 from station import markup
 from station.diagnose.measures import measures
 from station.diagnose.result import CHANNELS
-from station.diagnose.validation import not_closed, seconds_ahead, settled_run, whole_run
+from station.diagnose.whole_run import not_closed, seconds_ahead, settled_run, whole_run
 from station.estimation.dataset import Dataset, dataset
 from station.model.simulate import Model, Simulation, build
 from station.rig import Rig

@@ -33,8 +33,9 @@ from station.diagnose.search import select
 from station.diagnose.selection import Selection
 from station.diagnose.thresholds import FEW
 from station.diagnose.unseen import sized, unseen
-from station.diagnose.validation import gain, nominal, not_closed, seconds_ahead
+from station.diagnose.validation import gain, nominal
 from station.diagnose.verdict import verdict
+from station.diagnose.whole_run import not_closed, seconds_ahead
 from station.diagnose.wrong import wrong
 from station.errors import UsageError, WorkError
 from station.estimation.answers import answers, refuse_wrong_signs_and_units, unlikely

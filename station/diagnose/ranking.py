@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from station.diagnose.densities import standard_error, unseen_gain
 from station.diagnose.finding import Finding
 from station.diagnose.odds import Odds, may_be_accused
 from station.diagnose.result import CHANNELS, NOT_NAMED, Ranked, RankedCause, Reason
@@ -13,7 +14,6 @@ from station.diagnose.screening import BIAS
 from station.diagnose.selection import Selection, log_prior
 from station.diagnose.thresholds import AS_GOOD, BETTER, LIKELY, NOISE, VARIES
 from station.diagnose.unseen import Unseen
-from station.diagnose.validation import standard_error, unseen_gain
 from station.estimation.cause import Causes, Key, in_words, is_constant
 from station.estimation.identifiability import NORMAL
 from station.estimation.spread import shared

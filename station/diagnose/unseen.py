@@ -7,20 +7,11 @@ from functools import partial
 
 import numpy as np
 
+from station.diagnose.densities import all_predicted, contradicted, information, log_densities, relief
 from station.diagnose.estimates import estimates, may_be_none
 from station.diagnose.finding import Finding, bought, without
 from station.diagnose.selection import Selection
-from station.diagnose.validation import (
-    all_predicted,
-    contradicted,
-    information,
-    leave_each_out,
-    log_densities,
-    missed_by_more,
-    nominal,
-    predict_unseen,
-    relief,
-)
+from station.diagnose.validation import leave_each_out, missed_by_more, nominal, predict_unseen
 from station.estimation.cause import Causes
 from station.estimation.fitted import Fit
 from station.model.simulate import Simulation

@@ -12,7 +12,7 @@ import pytest
 
 from station.diagnose.candidates import candidates
 from station.diagnose.diagnose import diagnose
-from station.diagnose.validation import settled_run
+from station.diagnose.whole_run import settled_run
 from station.estimation.dataset import dataset
 from station.model.effects import catalogue, load_effects
 from station.model.simulate import build, simulate_model

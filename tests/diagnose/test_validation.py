@@ -8,21 +8,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from station.diagnose import validation as module
-from station.diagnose.validation import (
-    UNKNOWN_AHEAD,
+from station.diagnose import densities, validation
+from station.diagnose.densities import (
     contradicted,
     differing,
     information,
-    leave_each_out,
-    missed_by_more,
-    not_closed,
     predicted,
     relief,
-    seconds_ahead,
     standard_error,
     unseen_gain,
 )
+from station.diagnose.validation import leave_each_out, missed_by_more
+from station.diagnose.whole_run import UNKNOWN_AHEAD, not_closed, seconds_ahead
 from station.estimation.dataset import dataset
 from station.estimation.pool import Pool
 from station.runs.run import Run
@@ -90,7 +87,7 @@ def test_so_is_what_the_other_runs_leave_open(monkeypatch: pytest.MonkeyPatch) -
     open_ = along @ columns[4:]
     spread = np.eye(ROWS) + (columns[:4].T / PRIOR) @ columns[:4] + open_.T @ open_
     wanted = -0.5 * float(errors @ np.linalg.solve(spread, errors) + np.linalg.slogdet(spread)[1])
-    monkeypatch.setattr(module, "differing", lambda left, run: along)
+    monkeypatch.setattr(densities, "differing", lambda left, run: along)
     found = log_density(predictor(errors, columns), counted(ROWS), left_out(parameters=2), 0)
     assert found == pytest.approx(wanted, abs=1e-3)
 
@@ -167,7 +164,7 @@ def test_what_a_run_could_say_is_what_causes_change_in_it_whatever_was_measured(
     size = float(np.sum(change**2))
 
     def informed(errors: np.ndarray, independent: float, temperature: float = 1.0) -> float:
-        without, found = (module.Predicted(0.0, e) for e in (errors + change, errors))
+        without, found = (densities.Predicted(0.0, e) for e in (errors + change, errors))
         [value] = information(predictor(errors[0], np.zeros((4, ROWS))), counted(independent, temperature), [without],
                               [found])
         return value
@@ -201,7 +198,7 @@ def test_every_run_is_left_out_once_from_where_the_fit_of_all_ended(monkeypatch:
             raise ArithmeticError("lost")
         return Left(Left(None, f"without {int(np.argmin(runs))}"), "")
 
-    monkeypatch.setattr(module, "fit", fit)
+    monkeypatch.setattr(validation, "fit", fit)
     space = SimpleNamespace(with_own_of=lambda x, other, run, zero_group: f"{x}, {other}'s own of {run}")
     found = SimpleNamespace(space=space, x="here", own=None, jacobian="known", light="of all")
     predictor = SimpleNamespace(data=SimpleNamespace(runs=[None] * 3, zero_groups=(0,) * 3), pool=Pool())
