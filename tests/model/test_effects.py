@@ -601,6 +601,15 @@ def test_guesses_of_a_speed_are_in_proportion_to_that_of_the_runs(rig):
     assert cls.guesses_at(rig, "motor", 1e-9)[0]["stribeck_velocity"] == cls.parameters()["stribeck_velocity"].low
 
 
+def test_guesses_of_quadratic_drag_brake_slow_runs_as_much_as_others(rig):
+    cls = effect_class("quadratic_drag")
+    usual = cls.guesses(rig, "base")
+    for speed in (0.02, USUAL_SPEED, 9.0):
+        for guess, of in zip(cls.guesses_at(rig, "base", speed), usual, strict=True):
+            braked = cls.law(0.0, speed, 0.0, list(guess.values()), [], 1e-3)
+            assert braked == pytest.approx(cls.law(0.0, USUAL_SPEED, 0.0, list(of.values()), [], 1e-3))
+
+
 @pytest.mark.parametrize("cls", [cls for cls in catalogue().values() if cls.simpler], ids=lambda cls: cls.name)
 def test_a_law_with_special_cases_is_them_where_it_says_so(cls):
     """All other parameters of a unit that a special case has are like its own: friction of one level at all speeds."""

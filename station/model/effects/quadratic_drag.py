@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from station.model.effects.base import Effect, Stage, parameter, torque_scale
+from station.model.effects.base import USUAL_SPEED, Effect, Stage, parameter, torque_scale
 
 
 def torque(x, v, w, p, s, h):
@@ -26,3 +26,8 @@ class QuadraticDrag(Effect):
     @classmethod
     def guesses(cls, rig, at):
         return [{"coefficient": share * torque_scale(rig) / 50.0} for share in (0.01, 0.1, 0.5)]
+
+    @classmethod
+    def guesses_at(cls, rig, at, speed):
+        """The same torques at the runs' speed."""
+        return [{"coefficient": guess["coefficient"] * (USUAL_SPEED / speed) ** 2} for guess in cls.guesses(rig, at)]
