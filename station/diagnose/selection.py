@@ -14,12 +14,13 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from station.diagnose.effort import Effort
-from station.diagnose.remainder import ahead_is_noise, misses_more_ahead, remainder
+from station.diagnose.remainder import ahead_is_noise, may_be_noise, misses_more_ahead, remainder
 from station.diagnose.screening import Screened
 from station.diagnose.thresholds import CLOSE, LOG_PRIOR, LOG_PRIOR_PARAMETER, WORTH_A_FIT
 from station.estimation.cause import Causes, Key, is_constant
 from station.estimation.constants import told_again
 from station.estimation.fitted import Fit, weighing_of
+from station.estimation.least_squares import fit
 from station.estimation.likelihood import Weighing
 from station.estimation.parameters import CLOCK_SIGMA, Hypothesis
 from station.estimation.prediction import Predictor
@@ -155,8 +156,16 @@ class Selection:
             self.fits[found.key] = found.light
 
     def weigh(self, found: Fit) -> Fit:
-        """Take what a fit leaves for what models of this rig leave; the fit, with the blocks that count by that."""
+        """Take what a fit leaves for what models of this rig leave; the fit, with the blocks that count by that.
+
+        Whether that is noise alone is asked of the fit that takes it so, where it may be.
+        """
         complete = remainder(self.predictor, found).is_noise
+        if not complete and may_be_noise(self.predictor, found):
+            noise = replace(found.weighing, independent=self.predictor.counts, temperature=1.0)
+            again = fit(self.predictor, found.space, noise, found.x, found.own).light
+            if complete := remainder(self.predictor, again).is_noise:
+                found = again
         if complete != self.complete:
             found = self._counting(complete, found)
         self.weighing = weighing_of(self.predictor, found)

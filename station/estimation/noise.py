@@ -23,6 +23,9 @@ counts, for its rounding error runs through all its values meanwhile; of a longe
 """
 ASKED = 0.01
 """Share of a run's largest command that asks nothing yet: that of a loop that holds what rests, toggling by a count."""
+UNROUNDED = 0.3
+"""Noise of a sensor, steps of its readings, from which on rounding errors are independent from sample to sample
+(Widrow): of less a rest shows what hangs on where between two counts it is, in the middle of one nothing."""
 LEAST = 10
 """Fewest rows at rest that tell what a sensor scatters by."""
 FREEDOMS = np.array([2.0, 8.0, 32.0, 1e9])

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from station.estimation.noise import rest_rows, rest_start, rounding_shares
+from station.estimation.noise import UNROUNDED, rest_rows, rest_start, rounding_shares
 from station.model.simulate import Simulation, build, simulate_model
 from station.rig import Rig
 from station.runs.columns import SENSORS
@@ -26,9 +26,6 @@ FIRST = 0.02
 FIRST_COUNTS, FIRST_SIGMAS, FIRST_SHARE = 2.0, 6.0, 0.05
 """By how much these may differ from a rig at rest: counts (two readings, each rounded either way), sigmas of the noise,
 and, of the accelerometer, a share of what it reads in the whole run."""
-UNROUNDED = 0.3
-"""Noise of a sensor, steps of its readings, from which on rounding errors are independent from sample to sample
-(Widrow)."""
 
 
 class Logs(NamedTuple):

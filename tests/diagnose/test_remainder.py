@@ -24,10 +24,10 @@ LOGGED = {"all": np.ones(ROWS), "every other": (np.arange(ROWS) % 2 == 0).astype
           "with gaps": (np.random.default_rng(4).random(ROWS) < 0.7).astype(float)}
 
 
-def left(errors: np.ndarray, logged: np.ndarray) -> Remainder:
-    """Of one run whose encoder is read at some rows; errors (n) in units of the noise."""
+def left(errors: np.ndarray, logged: np.ndarray, sigma: float = 1.0) -> Remainder:
+    """Of one run whose encoder is read at some rows; errors (n) in units of the noise, ``sigma`` counts."""
     data = SimpleNamespace(channels=1, records=[SimpleNamespace(share=logged[None])], noise_freedoms=(1e6, 1.0),
-                           accel_noise=np.ones((2, 1)))
+                           accel_noise=np.ones((2, 1)), sigma=np.array([sigma]))
     predictor = SimpleNamespace(data=data, longest=np.ones(1, dtype=bool))
     return remainder(predictor, SimpleNamespace(residuals=[(errors * np.sqrt(logged))[None]]))
 
@@ -43,12 +43,24 @@ def test_white_noise_is_noise_and_a_slow_swing_a_third_as_strong_is_not(logged: 
     assert left(rng.standard_normal(ROWS) + swing, logged).slow.max() > NOISE
 
 
+def test_an_encoder_may_scatter_by_what_a_rest_in_the_middle_of_a_count_hides_but_not_slowly() -> None:
+    """At rest it showed rounding alone, as it would by 0.2 counts of noise; by that its errors are half as large again.
+    """
+    rng, rounding = np.random.default_rng(6), 12.0**-0.5
+    for more, noise in ((1.5, True), (1.9, True), (3.0, False)):
+        errors = more**0.5 * rng.standard_normal(ROWS)
+        assert left(errors, LOGGED["all"], rounding).is_noise == noise
+        assert not left(errors, LOGGED["all"]).is_noise
+    swing = 0.5 * np.sin(np.linspace(0.0, 40.0, ROWS))
+    assert not left(1.5**0.5 * rng.standard_normal(ROWS) + swing, LOGGED["all"], rounding).is_noise
+
+
 @pytest.mark.parametrize(("variance", "noise"), [(1.0, False), (4.0, True), (16.0, True)])
 def test_an_accelerometers_errors_are_held_against_the_noise_of_their_own_run(variance: float, noise: bool) -> None:
     """Of twice the noise of all runs; the encoder's are as large as rounding makes them."""
     share, errors = np.ones((2, ROWS)), np.random.default_rng(5).standard_normal((2, ROWS)) * [[1.0], [2.0]]
     data = SimpleNamespace(channels=2, records=[SimpleNamespace(share=share)], noise_freedoms=(1e6, 1e6),
-                           accel_noise=np.array([[variance], [1e6]]))
+                           accel_noise=np.array([[variance], [1e6]]), sigma=np.ones(2))
     found = remainder(SimpleNamespace(data=data, longest=np.ones(2, dtype=bool)), SimpleNamespace(residuals=[errors]))
     assert found.is_noise == noise and abs(found.size[0, 0]) < NOISE
 
