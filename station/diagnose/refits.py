@@ -84,14 +84,17 @@ def refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
 
 
 def look_back(search: Selection, found: Fit) -> None:
-    """Fit every set with one cause less, or with a simpler law in the place of one that holds it, from where the whole
-    set ended: each cause must hold against its absence, and each law against those that are special cases of it."""
+    """Fit every set with one cause less, with a simpler law in the place of one that holds it, or with a law at another
+    of its places, from where the whole set ended: each cause must hold against its absence, and each law against those
+    that are special cases of it and against itself elsewhere."""
     search.looked_back = found.light
     hypothesis, sizes = found.space.hypothesis, found.space.values(found.x)
     less: list[tuple[Hypothesis, Sizes]] = [(hypothesis.without(cause), {}) for cause in hypothesis.causes]
     allowed = {candidate.key for candidate in candidates(search.predictor.data.rig)} - found.key
     for cls, at in hypothesis.effects:
-        for (name, place), size in cls.cases(found.space.rig, at, sizes[cls.name, at]).items():
+        own = sizes[cls.name, at]
+        elsewhere = {(cls.name, place): own for place in cls.sites}
+        for (name, place), size in (elsewhere | cls.cases(found.space.rig, at, own)).items():
             if (name, place) in allowed:
                 instead = hypothesis.without((cls.name, at)) + Hypothesis(((effect_class(name), place),))
                 less.append((instead, {(name, place): size}))

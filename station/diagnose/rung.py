@@ -18,6 +18,7 @@ from station.diagnose.thresholds import LOG_PRIOR, WORTH_A_FIT
 from station.estimation.cause import Key, Sizes
 from station.estimation.fitted import Fit
 from station.estimation.least_squares import FAR, inherited
+from station.estimation.likelihood import Weighing
 from station.estimation.parameters import parameters
 from station.estimation.prediction import Predictor
 
@@ -43,12 +44,12 @@ class Job:
     gain: float = -np.inf
     """What screening expects the objective to fall by; nothing where it was not asked."""
 
-    def fitted(self, search: Selection, parent: Fit) -> Fit | None:
-        """A few steps; None where the hypothesis is lost."""
+    def fitted(self, predictor: Predictor, weighing: Weighing, parent: Fit) -> Fit | None:
+        """A few steps, from far off by a weighing that is given; None where the hypothesis is lost."""
         if isinstance(self.start, Start):
             one = self.start
-            return attempted(search.predictor, one.space, search.weighing, one.x, one.own, tolerance=0.5, first=FAR)
-        return begun(search.predictor, parent, self.start, self.less)
+            return attempted(predictor, one.space, weighing, one.x, one.own, tolerance=0.5, first=FAR)
+        return begun(predictor, parent, self.start, self.less)
 
 
 def proposed(search: Selection, parent: Fit, pool: list[Candidate], far: list[Start]) -> list[Job]:
@@ -80,8 +81,7 @@ def proposed(search: Selection, parent: Fit, pool: list[Candidate], far: list[St
     for less in sorted(exchanges):
         others = [one for one in exchanges[less] if one.gain > WORTH_A_FIT and shows(one, less=less)
                   and not any(one.candidate.hypothesis.holds(key) for key in parent.key - {less})]
-        moved = [one for one in others[effort.exchanged:] if one.candidate.key[0] == less[0]]
-        for other in [*others[: effort.exchanged], *moved]:
+        for other in others[: effort.exchanged]:
             add((other,), less)
     worth = -2.0 * LOG_PRIOR if content else WORTH_A_FIT
     begun_from: Counter[tuple[Key, bool]] = Counter()

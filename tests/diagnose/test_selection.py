@@ -11,25 +11,27 @@ import pytest
 from scipy.stats import norm
 
 from station.diagnose import refits, selection
+from station.diagnose import search as searches
 from station.diagnose.candidates import candidates
 from station.diagnose.effort import EFFORTS
 from station.diagnose.refits import finish, look_back
+from station.diagnose.remainder import remainder
 from station.diagnose.rung import taking_in
 from station.diagnose.screening import Screened
 from station.diagnose.search import leading
 from station.diagnose.selection import Selection
 from station.diagnose.thresholds import LOG_PRIOR, LOG_PRIOR_PARAMETER
 from station.estimation.cause import constant
-from station.estimation.constants import base_fit
+from station.estimation.constants import base_fit, unknown
 from station.estimation.least_squares import fit
 from station.estimation.likelihood import Weighing
-from station.estimation.parameters import CLOCK_SIGMA, Hypothesis, parameters
-from station.estimation.prediction import Predictor
+from station.estimation.parameters import CLOCK_SIGMA, Hypothesis, Parameters, parameters
+from station.estimation.prediction import COARSE, FINE, Predictor
 from station.model.effects import effect_class
 from station.rig import Rig, load_rig
 from station.runs.ticks import CLOCKS
 from tests.estimation.made import AXIS, predictions, run_of, runs_of
-from tests.truth import TWO_MASS
+from tests.truth import RIGID_AXIS, TWO_MASS
 
 FRICTION, STRIBECK, CLOCK = ((effect_class(name), at) for name, at in (
     ("coulomb_friction", "motor"), ("stribeck_friction", "motor"), ("clock_scale", "")))
@@ -230,6 +232,45 @@ def test_a_law_must_hold_against_what_it_nearly_is_where_it_ended(
     assert found == pytest.approx(sized, rel=0.02, abs=0.002)
 
 
+@pytest.mark.parametrize(("counts", "noise"), [(0.8, True), (3.0, False)])
+def test_a_run_whose_start_was_read_wrong_and_that_is_hardly_believed_leaves_noise_all_the_same(
+        counts: float, noise: bool) -> None:
+    """By how little it counted its start stayed wrong, and for its wrong start it counted little."""
+    fine = Rig.model_validate({**RIGID_AXIS, "encoder": {"counts_per_revolution": 50_000.0}})
+    runs = [run_of(fine, amplitude, "open", f"{amplitude:g}", 2.0) for amplitude in (60.0, 40.0)]
+    predictor = predictions(fine, runs)
+    first, second = predictor.data.records
+    wrong = replace(second, start=second.start + counts * fine.angle_per_count)
+    predictor = predictor.on(replace(predictor.data, records=(first, wrong)))
+    space = parameters(predictor.data, Hypothesis(), {})
+    independent = predictor.counts * [[1.0], [1e-3]]
+    found = fit(predictor, space, replace(unknown(predictor), independent=independent, differ=(0.0, 0.0)), space.mean)
+    assert not remainder(predictor, found).is_noise
+    search = Selection(predictor, EFFORTS["quick"], found.weighing)
+    search.fits = {found.key: found}
+    begun = search.weigh(found)
+    assert search.complete is noise
+    moved = begun.own[1, 0] - second.start
+    assert (abs(moved) < 0.3 * fine.angle_per_count) == noise
+
+
+@pytest.mark.parametrize(("true", "place"), [("motor", "base"), ("base", "motor")])
+def test_a_law_must_hold_against_itself_at_its_other_places(true: str, place: str) -> None:
+    """What rubs at one end of a shaft was told as what rubs at the other, where nothing else came to be tried."""
+    rig, coulomb = Rig.model_validate(TWO_MASS), FRICTION[0]
+    torque = 0.08 * rig.motor.gain * rig.amplifier.limit
+    predictor = predictions(rig, runs_of(rig.with_effects([coulomb(at=true, torque=torque)])))
+    search = complete(predictor)
+    for effects in ((), ((coulomb, place),)):
+        space = parameters(predictor.data, Hypothesis(effects), {("coulomb_friction", place): {"torque": torque}})
+        search.keep(fit(search.predictor, space, search.weighing, space.mean.copy()))
+    assert search.best().key == {("coulomb_friction", place)}
+    look_back(search, search.best())
+    best = search.best()
+    assert best.key == {("coulomb_friction", true)}
+    assert best.space.values(best.x)["coulomb_friction", true]["torque"] == pytest.approx(torque, rel=0.05)
+
+
 def test_a_ripple_is_nearly_a_tilt_only_of_one_cycle_and_without_a_drive() -> None:
     ripple, sizes = effect_class("torque_ripple"), {"amplitude": 0.3, "cycles": 1.3, "phase": 1.0}
     x = np.linspace(-4.0, 4.0, 9)
@@ -403,3 +444,29 @@ def test_a_horizon_that_compares_nothing_still_says_where_the_constants_are(monk
         nothing, heavier = (search.score(search.fits[frozenset(keys)]) for keys in ((), [constant(path)]))
         gained.append(heavier - nothing)
     assert gained[0] > 3.0 and gained[1] < 1.0
+
+
+@pytest.mark.parametrize(("moved", "again"), [((3.0, 3.5), False), ((3.0, -40.0), True), ((np.nan, 0.0), True)])
+def test_what_a_searchs_simulations_err_by_decides_between_no_sets(
+        monkeypatch: pytest.MonkeyPatch, moved: tuple[float, float], again: bool) -> None:
+    """Of a shaft that hardens by a fine encoder a load friction of a ten-thousandth was named by 0.84; by finer
+    simulations it takes nothing away."""
+    predictor = predictions(AXIS, runs_of(AXIS))
+    one = complete(replace(predictor, accuracy=COARSE))
+    for k, effects in enumerate(((), (FRICTION,))):
+        space = parameters(predictor.data, Hypothesis(effects), {("coulomb_friction", "motor"): {"torque": 0.01}})
+        one.keep(fit(one.predictor, space, one.weighing, space.mean.copy(), iterations=12 * k))
+    more, finished = dict(enumerate(moved)), []
+
+    def finer(given: Predictor, space: Parameters, *where: object) -> SimpleNamespace:
+        assert given.accuracy == FINE
+        key = space.hypothesis.key
+        return SimpleNamespace(objective=one.fits[key].objective + more[len(key)])
+
+    monkeypatch.setattr(searches, "point", finer)
+    monkeypatch.setattr(searches, "finish", lambda given: finished.append(given.predictor.accuracy))
+    searches._compare_exactly(one)
+    assert finished == [FINE] * again and one.all_horizons.accuracy == COARSE
+    one.complete = False
+    searches._compare_exactly(one)
+    assert finished == [FINE] * again

@@ -8,7 +8,7 @@ import pytest
 import station.diagnose
 from station.estimation.loaded import PREPARE
 
-DISPATCHERS = ("station.estimation.prediction:_predict", "station.estimation.observer:_gain",
+DISPATCHERS = ("station.estimation.prediction:_predict", "station.estimation.filter:steady_gain",
                "station.model.modal:_first_order", "station.model.sampled:_responses")
 
 
