@@ -18,11 +18,12 @@ def pytest_addoption(parser):
 
 
 def pytest_collection_modifyitems(config, items):
-    """Leave out what is marked long, where it is not asked for."""
+    """Leave out what is marked long, where it is not asked for; begin with what wants a fresh process."""
     left = [item for item in items if item.get_closest_marker("long") and not config.getoption("--long")]
     if left:
         config.hook.pytest_deselected(items=left)
         items[:] = [item for item in items if item not in set(left)]
+    items.sort(key=lambda item: item.get_closest_marker("fresh") is None)
 
 
 def pytest_terminal_summary(terminalreporter):

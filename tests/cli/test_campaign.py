@@ -7,9 +7,7 @@ import os
 
 import pytest
 
-from station.rig import Rig
-from tests.cli.conftest import step_run
-from tests.truth import RIGID_AXIS
+from tests.estimation.made import AXIS, run_of
 
 PLAN = """
 effort = "quick"
@@ -22,7 +20,7 @@ pairs = 0.0
 effects = ["dead_zone"]
 [[logs]]
 name = "quiet bench"
-rig = "sflr"
+rig = "axis.toml"
 runs = ["runs/*.csv"]
 known = []
 """
@@ -31,10 +29,10 @@ known = []
 def test_a_plan_of_two_cases_becomes_a_page_and_is_not_done_twice(station, tmp_path):
     from station.runs import export_run
 
-    (tmp_path / "axis.toml").write_text(Rig.model_validate(RIGID_AXIS).to_toml(), encoding="utf-8")
+    (tmp_path / "axis.toml").write_text(AXIS.to_toml(), encoding="utf-8")
     (tmp_path / "runs").mkdir()
     for amplitude in (50.0, 80.0):
-        export_run(step_run(amplitude=amplitude), tmp_path / "runs" / f"step{amplitude:.0f}.csv")
+        export_run(run_of(AXIS, amplitude, "p2", "step"), tmp_path / "runs" / f"step{amplitude:.0f}.csv")
     plan, out = tmp_path / "plan.toml", tmp_path / "out"
     plan.write_text(PLAN, encoding="utf-8")
     before = {path for path in tmp_path.rglob("*") if out not in path.parents}

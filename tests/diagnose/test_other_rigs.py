@@ -116,9 +116,9 @@ def test_a_pendulum_that_does_not_hang_at_the_encoders_zero_is_not_accused(seed,
         np.testing.assert_allclose(zeroed.reference, run.reference, atol=0.0 if run.open_loop else 2.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("seed", "back_emf", "hidden"), [
-    (66009, 0.0, ["load_friction", ("coulomb_friction", "motor")]),
-    pytest.param(66012, 0.3, ["load_friction"], marks=pytest.mark.long)])
+    (66009, 0.0, ["load_friction", ("coulomb_friction", "motor")]), (66012, 0.3, ["load_friction"])])
 def test_friction_by_load_keeps_its_value_where_bearings_rub_and_no_rig_file_says_so(seed, back_emf, hidden):
     """What rubs in the bearings the gears carry, back-EMF they do not; taken for all of it another fraction comes out,
     or friction alone is not met at all."""

@@ -13,6 +13,7 @@ from station.errors import WorkError
 from station.loop import realtime
 from station.loop.realtime import undisturbed_thread
 
+pytestmark = pytest.mark.fresh     # to lock all memory of a process that has grown to gigabytes takes a minute
 LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the means of Linux")
 
 
