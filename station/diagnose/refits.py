@@ -102,8 +102,8 @@ def look_back(search: Selection, found: Fit) -> None:
 
 
 def _keep_reduced(search: Selection, found: Fit, less: Sequence[tuple[Hypothesis, Sizes]]) -> None:
-    """Sets that hold less than another, with sizes of what that does not hold, fitted from where that one ended; none
-    that does not simulate."""
+    """Sets that hold less than another, or a law elsewhere, with sizes of what that one does not hold, fitted from
+    where it ended; none that does not simulate."""
     predictor, found = search.predictor, found.light
     # What explains less may need runs to differ by as much as the rig alone does.
     share, constant = np.maximum(search.own_weighing(found).differ,

@@ -67,10 +67,10 @@ def select(predictor: Predictor, effort: Effort, progress: Callable[[str, float]
 def _compare_exactly(search: Selection) -> None:
     """Bring the likeliest sets to their end by finer simulations where only noise is left and what the search's own err
     by could decide between them: of a fine encoder that is more than what some laws change."""
-    close, quick = search.close(2 * search.effort.finished), search.all_horizons
-    finer = replace(search.predictor, accuracy=FINE)
-    if search.complete and search.predictor.accuracy != FINE and len(close) > 1:
-        moved = [point(finer, one.space, one.weighing, one.x, one.own).objective - one.objective for one in close]
+    quick, finer = search.all_horizons, replace(search.predictor, accuracy=FINE)
+    if search.complete and quick.accuracy != FINE:
+        moved = [point(finer, one.space, one.weighing, one.x, one.own).objective - one.objective
+                 for one in search.close(2 * search.effort.finished)]
         if not np.ptp(moved) < WORTH_A_FIT:     # nor where one is lost
             search.all_horizons = replace(quick, accuracy=FINE)
             finish(search)

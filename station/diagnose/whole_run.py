@@ -15,7 +15,7 @@ from station.estimation.prediction import angle_that_reads, predict_run
 from station.model.simulate import Model, Simulation, simulate_model
 
 UNKNOWN_AHEAD = 0.5
-"""The same where a run's controller is unknown, so that no whole closed loop can be simulated."""
+"""Seconds ahead that a run is predicted for where its loop cannot be closed again."""
 
 
 def not_closed(data: Dataset, run: int) -> str:

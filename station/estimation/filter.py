@@ -15,7 +15,7 @@ from station.model.modal import EXPONENTIAL, INTEGRAL, ModalForm, dense, functio
 from station.model.simulate import Model
 
 SIZES = math.log(1e-8), math.log(1e4)
-"""Logarithms of shares of the amplifier's limit between which it is looked for, from below."""
+"""Logarithms of shares of the amplifier's limit between which the disturbance's size is looked for, from below."""
 STEPS = 6
 """Most steps of the secant method from one rig's to another's."""
 NEAR = 1e-5
@@ -52,7 +52,7 @@ class Filter(NamedTuple):
 
 
 def filter_of(model: Model, horizon: float, blocks: np.ndarray, about: Slopes = ()) -> Filter:
-    """Of the modes ``blocks`` alone."""
+    """Of a rig's modes ``blocks`` alone, for a horizon, s; ``about``: the slopes of its torques where it moves."""
     form, kept, decay = model.form, model.form.columns(blocks), math.exp(-model.rig.period / horizon)
     still = form.inverse[kept, : model.assembly.size] @ model.assembly.rigid
     shown = model.plan.base_angle[kept] * model.plan.counts_per_radian

@@ -20,8 +20,9 @@ from pathlib import Path
 import numpy as np
 
 from station.estimation.dataset import Dataset
+from station.estimation.filter import Slopes
 from station.estimation.likelihood import blocks_independent
-from station.estimation.observer import Observer, Slopes, correction, slopes
+from station.estimation.observer import Observer, correction, slopes
 from station.estimation.parameters import Parameters
 from station.estimation.pool import Pool
 from station.estimation.record import Logs

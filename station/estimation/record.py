@@ -17,7 +17,8 @@ from station.runs.columns import SENSORS
 from station.runs.run import Run, RunMetadata
 
 WARM, FOUND = 1.0, 0.01
-"""Seconds for that: what is wrong of a flexible arm's base and first mode is then below a hundredth of what it was."""
+"""Seconds in which an observer finds the state of a rig in motion, and a share: of what is wrong at first of a flexible
+arm's base and first mode less than that is left then."""
 PUSHED = 0.01
 """Largest constant that a motor does of itself, as a share of the amplifier's limit (an offset of its input): it turns
 a rig that is at rest, and a fine encoder shows that at once."""
