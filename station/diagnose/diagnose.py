@@ -98,7 +98,7 @@ def _diagnose(rig: Rig, given: Sequence[Run], effort: str, report: Callable[[str
         spoken = finding.by_law.causes
         laws = {key: spoken[key] for key in said.causes if spoken[key] != finding.odds.causes.get(key)}
         order, told = in_order(replace(told, causes={**told.causes, **laws}), said.causes,
-                               partial(bought, search, said.causes), finding.odds.draws.error)
+                               partial(bought, search), finding.odds.draws.error)
     told = told if finding.left.is_noise else with_outside(told)
     shown, rough = (nothing, nothing) if said.causes and not order else (best, finding.rough)
     values, constants = estimates(search.known(shown), rough, judged.left_out)

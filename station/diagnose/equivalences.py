@@ -131,23 +131,32 @@ def moves_by_itself(rig: Rig, setting: Setting) -> bool:
                for effect in rig.effects if effect.stage in (Stage.TORQUE, Stage.COMMAND) for angle in setting.released)
 
 
-def _late(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
-    """Only (input + encoder) and (input + accelerometer) show; one of the delays can always be traded away."""
+def delays_traded(causes: frozenset[Key], rig: Rig, allowed: Collection[Key]) -> list[tuple[frozenset[Key], Sizes]]:
+    """Sets with the same sums of delays as some causes (``rig`` has them in it), and these delays.
+
+    Only (input + encoder) and (input + accelerometer) show, so that one of the delays can always be traded away.  None
+    that keeps all causes and adds to them: it names no rival in anything's place.
+    """
     times = {key: sizes["time"] for key, sizes in _sizes(rig).items() if key in causes & {INPUT, ENCODER, ACCEL}}
-    if not times or moves_by_itself(rig, setting):
+    if not times:
         return []
     sums = {key: times.get(INPUT, 0.0) + times.get(key, 0.0)
             for key in ((ENCODER, ACCEL) if rig.accelerometer is not None else (ENCODER,))}
     found = []
     for common in (0.0, min(sums.values())):
         new = {INPUT: common, **{key: total - common for key, total in sums.items()}}
-        new = {key: time for key, time in new.items() if time > 1e-9}
+        new = {key: {"time": time} for key, time in new.items() if time > 1e-9}
         other = (causes - frozenset(times)) | frozenset(new)
-        # A side that keeps all that is named and adds to it names no rival in anything's place.
-        if frozenset(new) <= setting.allowed and not other >= causes:
-            found.append(Side(other, _with(rig, times, {k: {"time": t} for k, t in new.items()}),
-                              LOG_PRIOR * (len(other) - len(causes))))
+        if frozenset(new) <= set(allowed) and not other >= causes:
+            found.append((other, new))
     return found
+
+
+def _late(causes: frozenset[Key], rig: Rig, setting: Setting) -> list[Side]:
+    """Delays traded, where nothing marks time 0 in the data."""
+    return [] if moves_by_itself(rig, setting) else [
+        Side(other, _with(rig, causes & {INPUT, ENCODER, ACCEL}, new), LOG_PRIOR * (len(other) - len(causes)))
+        for other, new in delays_traded(causes, rig, setting.allowed)]
 
 
 class _Constants:

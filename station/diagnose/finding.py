@@ -70,10 +70,14 @@ def _fitted(search: Selection, found: Odds, spoken: Odds, said: Stated, whole: C
     return Finding(found, spoken, said, rough, best, remainder(search.predictor, best))
 
 
-def bought(search: Selection, best: Causes, key: Key) -> float:
-    """What a cause adds to the score of a set."""
-    rest = search.fits.get(best - {key})
-    return search.score(search.fits[best]) - search.score(rest) if rest is not None else 0.0
+def bought(search: Selection, key: Key) -> float:
+    """What a cause adds to the score of the likeliest set with it that was fitted without it, too."""
+    pairs = [(found, less) for keys, found in search.fits.items()
+             if key in keys and (less := search.fits.get(keys - {key})) is not None]
+    if not pairs:
+        return 0.0
+    found, less = max(pairs, key=lambda pair: search.score(pair[0]))
+    return search.score(found) - search.score(less)
 
 
 def between_runs(search: Selection, finding: Finding) -> BetweenRuns:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import partial, reduce
 from typing import Any
 
 import numpy as np
 
 from station.diagnose.candidates import candidates
+from station.diagnose.equivalences import delays_traded
 from station.diagnose.selection import Selection
 from station.diagnose.starts import arrived, attempted, has_gap, seeks_zeros
 from station.diagnose.thresholds import CLOSE
@@ -84,20 +85,27 @@ def refit(search: Selection, fits: Iterable[Fit], to_the_end: bool,
 
 
 def look_back(search: Selection, found: Fit) -> None:
-    """Fit every set with one cause less, with a simpler law in the place of one that holds it, or with a law at another
-    of its places, from where the whole set ended: each cause must hold against its absence, and each law against those
-    that are special cases of it and against itself elsewhere."""
+    """Fit every set with one cause less, with a simpler law in the place of one that holds it, with a law at another of
+    its places, or with other delays of the same sums, from where the whole set ended: each cause must hold against its
+    absence, each law against those that are special cases of it and against itself elsewhere, and delays against those
+    that show alike."""
     search.looked_back = found.light
     hypothesis, sizes = found.space.hypothesis, found.space.values(found.x)
     less: list[tuple[Hypothesis, Sizes]] = [(hypothesis.without(cause), {}) for cause in hypothesis.causes]
-    allowed = {candidate.key for candidate in candidates(search.predictor.data.rig)} - found.key
+    allowed = {candidate.key for candidate in candidates(search.predictor.data.rig)}
     for cls, at in hypothesis.effects:
         own = sizes[cls.name, at]
         elsewhere = {(cls.name, place): own for place in cls.sites}
         for (name, place), size in (elsewhere | cls.cases(found.space.rig, at, own)).items():
-            if (name, place) in allowed:
+            if (name, place) in allowed - found.key:
                 instead = hypothesis.without((cls.name, at)) + Hypothesis(((effect_class(name), place),))
                 less.append((instead, {(name, place): size}))
+    for causes, delays in delays_traded(found.key, found.space.rig_at(found.x), allowed):
+        if len(causes) <= len(found.key):
+            kept = reduce(Hypothesis.without, sorted(found.key - causes), hypothesis)
+            traded = kept + Hypothesis(tuple((effect_class(name), place) for name, place in sorted(causes - found.key)))
+            smallest = min(sorted(delays), key=lambda key: delays[key]["time"])
+            less += [(traded, delays)] + [(traded.without(smallest), delays)] * (len(delays) > 1)
     _keep_reduced(search, found, less)
 
 

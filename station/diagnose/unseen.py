@@ -56,7 +56,7 @@ def sized(search: Selection, finding: Finding) -> tuple[Finding, list[Fit]]:
         none = [key for key in sorted(found.key) if may_be_none(found, key, values[key])]
         if not none:
             return finding, left_out
-        finding = without(search, finding, min(none, key=partial(bought, search, finding.rough.key)))
+        finding = without(search, finding, min(none, key=partial(bought, search)))
 
 
 def unseen(search: Selection, finding: Finding, said: list[Fit]) -> Unseen:

@@ -40,3 +40,13 @@ def test_what_does_the_same_counts_whatever_else_its_resamples_lack(monkeypatch:
 def test_what_all_resamples_name_is_not_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
     everything = {key: frozenset({INPUT}) for key in BEST}
     assert said(monkeypatch, BEST, (BEST,) * 10, everything, False) == Stated(BEST)
+
+
+def test_what_a_cause_buys_is_read_off_the_likeliest_set_that_was_fitted_without_it_too() -> None:
+    """Not off what is stated: a set without one of its causes need not have been fitted, and bought nothing then."""
+    whole = BEST | {INPUT}
+    scores = {frozenset(): 0.0, frozenset({BIAS}): 3.0, BEST: 90.0, whole: 91.0, whole - {BIAS}: 85.0,
+              whole - {RIPPLE}: 20.0}
+    search = SimpleNamespace(fits={keys: keys for keys in scores}, score=scores.__getitem__)
+    assert finding.bought(search, RIPPLE) == 71.0 and finding.bought(search, BIAS) == 6.0
+    assert finding.bought(search, INPUT) == 1.0 and finding.bought(search, ENCODER) == 0.0

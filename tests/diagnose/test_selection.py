@@ -271,6 +271,29 @@ def test_a_law_must_hold_against_itself_at_its_other_places(true: str, place: st
     assert best.space.values(best.x)["coulomb_friction", true]["torque"] == pytest.approx(torque, rel=0.05)
 
 
+@pytest.mark.parametrize("looked", [True, False])
+def test_delays_must_hold_against_those_of_the_same_sums(monkeypatch: pytest.MonkeyPatch, looked: bool) -> None:
+    """A command that is late, told as two sensors that are, with nothing that would lead from there to it."""
+    rig = load_rig("sflr")
+    command, encoder, accel = ((effect_class(name), at) for name, at in (
+        ("input_delay", "amplifier"), ("encoder_delay", "encoder"), ("accelerometer_delay", "accelerometer")))
+    predictor = predictions(rig, runs_of(rig.with_effects([command[0](at="amplifier", time=0.0123)])))
+    search = complete(predictor)
+    sizes = {("encoder_delay", "encoder"): {"time": 0.0123}, ("accelerometer_delay", "accelerometer"): {"time": 0.0123}}
+    for effects, begun in (((), {}), ((encoder, accel), sizes)):
+        space = parameters(predictor.data, Hypothesis(effects), begun)
+        search.keep(fit(search.predictor, space, search.weighing, space.mean.copy()))
+    assert search.best().key == set(sizes)
+    if not looked:
+        monkeypatch.setattr(refits, "delays_traded", lambda causes, rig, allowed: [])
+    look_back(search, search.best())
+    best = search.best()
+    assert (best.key == {("input_delay", "amplifier")}) is looked
+    if looked:
+        time = best.space.values(best.x)["input_delay", "amplifier"]["time"]
+        assert time == pytest.approx(0.0123, abs=0.15 * rig.period)
+
+
 def test_a_ripple_is_nearly_a_tilt_only_of_one_cycle_and_without_a_drive() -> None:
     ripple, sizes = effect_class("torque_ripple"), {"amplitude": 0.3, "cycles": 1.3, "phase": 1.0}
     x = np.linspace(-4.0, 4.0, 9)
@@ -278,10 +301,6 @@ def test_a_ripple_is_nearly_a_tilt_only_of_one_cycle_and_without_a_drive() -> No
     theirs = [effect_class(key[0]).law(one, 0.0, 0.0, list(tilt.values()), [], 1e-3) for one in x]
     np.testing.assert_allclose(theirs, 0.3 * np.sin(x + 1.0), atol=1e-12)
     assert not ripple.cases(AXIS, "motor", {**sizes, "cycles": 1.6})
-    late, ends = {"time": 0.003}, {"input_delay": "amplifier", "encoder_delay": "encoder"}
-    for name, other in (("input_delay", "encoder_delay"), ("encoder_delay", "input_delay")):
-        assert effect_class(name).cases(AXIS, ends[name], late) == {(other, ends[other]): late}
-        assert not effect_class(name).cases(load_rig("sflr"), ends[name], late)
     assert not ripple.cases(load_rig("sflr"), "motor", sizes)
 
 

@@ -29,7 +29,7 @@ def run_of(rig: Rig, amplitude: float, controller: str, name: str, seconds: floa
     zero = np.zeros(rows)
     meta = RunMetadata(controller=CONTROLLERS[controller], command_row=0 if controller == "open" else -1, zero_id="one")
     made = simulate(rig, Run(name, t, reference, reference, zero, None, meta))
-    return Run(name, t, reference, made.command, made.encoder, None, meta)
+    return Run(name, t, reference, made.command, made.encoder, made.accel, meta)
 
 
 def runs_of(rig: Rig) -> list[Run]:

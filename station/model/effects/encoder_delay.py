@@ -20,8 +20,3 @@ class EncoderDelay(Effect):
     @classmethod
     def guesses(cls, rig, at):
         return [{"time": share * rig.period} for share in (0.3, 1.5, 5.0)]
-
-    @classmethod
-    def cases(cls, rig, at, values):
-        """Where the encoder alone watches the rig a delay at the other end of the loop does the same."""
-        return {("input_delay", "amplifier"): values} if rig.accelerometer is None else {}
