@@ -29,16 +29,17 @@ def as_logged(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
     """The runs, and a sentence for each thing that is not as it is said.
 
     A controller that is not the one that gave the commands is taken for unknown: closed again by it, a loop would do
-    what no test did.  Which row's readings a command came from is taken as the commands have it, if they fit one
-    row's and not the stated one's: closed again with another delay, it is another loop.
+    what no test did.  Which row's readings, and which row's reference, a command came from is taken as the commands
+    have it, if they fit one row's and not the stated one's: closed again with another delay, it is another loop.
     """
     limit, said = rig.amplifier.limit, []
-    rows = {run.name: row for run in runs if (row := own_row(rig, run)) != run.metadata.command_row}
-    if rows:
-        stated = next(run.metadata.command_row for run in runs if run.name in rows)
-        said.append(f"{_most(dict.fromkeys(rows, 1.0))}: commands are the controller's of command_row "
-                    f"{next(iter(rows.values()))}, which is taken, and the log says {stated}")
-        runs = [with_metadata(run, command_row=rows[run.name]) if run.name in rows else run for run in runs]
+    own = {run.name: own_rows(rig, run) for run in runs}
+    for rows in sorted({rows for run in runs if (rows := own[run.name]) != (run.metadata.command_row, 0)}):
+        such = {run.name: run.metadata.command_row for run in runs if own[run.name] == rows}
+        late = f", of a reference that acts {-rows[1]} row{'s' * (rows[1] < -1)} after its own" if rows[1] else ""
+        said.append(f"{_most(dict.fromkeys(such, 1.0))}: commands are the controller's of command_row {rows[0]}{late}, "
+                    f"which is taken, and the log says {next(iter(such.values()))}")
+    runs = [run if own[run.name] == (run.metadata.command_row, 0) else _of_rows(run, *own[run.name]) for run in runs]
     beyond = {run.name: reached for run in runs
               if (reached := float(np.max(np.abs(run.command)))) > math.floor(limit + 0.5)}
     shares = [off_by(rig, run) for run in runs]
@@ -60,15 +61,24 @@ def _most(shares: Mapping[str, float]) -> str:
     return name + (f" and {len(shares) - 1} more" if len(shares) > 1 else "")
 
 
-def own_row(rig: Rig, run: Run) -> int:
-    """The ``command_row`` of which a run's commands are: the stated one, unless another (0, -1 or -2) leaves less than
-    OTHER_ROW of what they miss by that, and that is more than rounding."""
-    stated, row = off_by(rig, run), run.metadata.command_row
+def own_rows(rig: Rig, run: Run) -> tuple[int, int]:
+    """The ``command_row`` of which a run's commands are, and the row of their reference, counted from their own, too:
+    the stated one and 0, unless others leave less than OTHER_ROW of what they miss by that, and that is more than
+    rounding.  Others are readings of this row or of one or two before it, beside this row's reference or their own."""
+    rows = run.metadata.command_row, 0
+    stated = off_by(rig, run)
     if stated * _rms(run.command) <= math.sqrt(QUANTISATION):
-        return row
-    others = {other: off_by(rig, with_metadata(run, command_row=other)) for other in LIKELY_ROWS if other != row}
+        return rows
+    others = {other: off_by(rig, _of_rows(run, *other)) for row in LIKELY_ROWS for other in ((row, 0), (row, row))}
     best = min(others, key=others.__getitem__)
-    return best if others[best] < OTHER_ROW * stated else row
+    return best if others[best] < OTHER_ROW * stated else rows
+
+
+def _of_rows(run: Run, command_row: int, reference_row: int) -> Run:
+    """A run whose commands are of other rows than it says; its reference, where they are of an earlier one, moved to
+    the rows in which it acts."""
+    moved = run.reference[np.maximum(np.arange(len(run)) + reference_row, 0)]
+    return replace(with_metadata(run, command_row=command_row), reference=moved)
 
 
 def off_by(rig: Rig, run: Run) -> float:

@@ -59,6 +59,24 @@ def test_the_row_whose_readings_commands_are_of_is_taken_as_they_have_it(true: i
     assert as_logged(AXIS, runs) == (runs, [])
 
 
+@pytest.mark.parametrize("late", [1, 2])
+def test_the_row_whose_reference_commands_are_of_is_taken_as_they_have_it(late: int) -> None:
+    """A board that works out a command from what it has read and been told a tick ago logs both a tick early."""
+    acted = [replace(run, reference=np.where(np.arange(len(run)) < 200, 0.0, run.reference),
+                     metadata=run.metadata.model_copy(update={"command_row": -late})) for run in CLOSED]
+    made = [simulate(AXIS, run) for run in acted]
+    acted = [replace(run, command=one.command, encoder=np.round(one.encoder))
+             for run, one in zip(acted, made, strict=True)]
+    logged = [replace(run, reference=np.append(run.reference[late:], run.reference[-1:].repeat(late)))
+              for run in acted]
+    found, (sentence,) = as_logged(AXIS, logged)
+    assert all(np.array_equal(one.reference, run.reference) for one, run in zip(found, acted, strict=True))
+    assert [one.metadata for one in found] == [run.metadata for run in acted]
+    rows = f"{late} row{'s' if late > 1 else ''}"
+    assert f"command_row {-late}, of a reference that acts {rows} after its own" in sentence
+    assert as_logged(AXIS, acted) == (acted, [])
+
+
 def test_an_integral_that_began_from_commands_before_they_were_rounded_is_its_own() -> None:
     """Half a count of the first commands stays in an integral for good, many times as large by the derivative's lag."""
     spec = {"kind": "pid", "gain": 0.4, "integral": 0.5, "derivative": 0.25, "filter": 0.05}
