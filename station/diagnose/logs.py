@@ -16,7 +16,7 @@ from station.errors import StationError
 from station.estimation.noise import QUANTISATION
 from station.model.simulate import limit_of
 from station.rig import Rig
-from station.runs.replay import LIKELY_ROWS, OTHER_ROW, compensator_of, replay_commands, with_metadata
+from station.runs.replay import LIKELY_ROWS, OTHER_ROW, Rows, compensator_of, replay_commands, with_metadata
 from station.runs.run import Run
 
 HALF = 0.5
@@ -34,12 +34,11 @@ def as_logged(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
     """
     limit, said = rig.amplifier.limit, []
     own = {run.name: own_rows(rig, run) for run in runs}
-    for rows in sorted({rows for run in runs if (rows := own[run.name]) != (run.metadata.command_row, 0)}):
-        such = {run.name: run.metadata.command_row for run in runs if own[run.name] == rows}
-        late = f", of a reference that acts {-rows[1]} row{'s' * (rows[1] < -1)} after its own" if rows[1] else ""
-        said.append(f"{_most(dict.fromkeys(such, 1.0))}: commands are the controller's of command_row {rows[0]}{late}, "
-                    f"which is taken, and the log says {next(iter(such.values()))}")
-    runs = [run if own[run.name] == (run.metadata.command_row, 0) else _of_rows(run, *own[run.name]) for run in runs]
+    for rows in sorted({own[run.name] for run in runs if own[run.name] != Rows.stated(run)}):
+        such = {run.name: run.metadata.command_row for run in runs if own[run.name] == rows != Rows.stated(run)}
+        said.append(f"{_most(dict.fromkeys(such, 1.0))}: commands are the controller's of {rows}, which is taken, and "
+                    f"the log says {next(iter(such.values()))}")
+    runs = [run if own[run.name] == Rows.stated(run) else own[run.name].taken(run) for run in runs]
     beyond = {run.name: reached for run in runs
               if (reached := float(np.max(np.abs(run.command)))) > math.floor(limit + 0.5)}
     shares = [off_by(rig, run) for run in runs]
@@ -61,24 +60,15 @@ def _most(shares: Mapping[str, float]) -> str:
     return name + (f" and {len(shares) - 1} more" if len(shares) > 1 else "")
 
 
-def own_rows(rig: Rig, run: Run) -> tuple[int, int]:
-    """The ``command_row`` of which a run's commands are, and the row of their reference, counted from their own, too:
-    the stated one and 0, unless others leave less than OTHER_ROW of what they miss by that, and that is more than
-    rounding.  Others are readings of this row or of one or two before it, beside this row's reference or their own."""
-    rows = run.metadata.command_row, 0
-    stated = off_by(rig, run)
+def own_rows(rig: Rig, run: Run) -> Rows:
+    """Of which rows a run's commands are: the stated ones, unless others leave less than OTHER_ROW of what they miss by
+    these, and that is more than rounding."""
+    rows, stated = Rows.stated(run), off_by(rig, run)
     if stated * _rms(run.command) <= math.sqrt(QUANTISATION):
         return rows
-    others = {other: off_by(rig, _of_rows(run, *other)) for row in LIKELY_ROWS for other in ((row, 0), (row, row))}
+    others = {other: off_by(rig, other.taken(run)) for other in LIKELY_ROWS}
     best = min(others, key=others.__getitem__)
     return best if others[best] < OTHER_ROW * stated else rows
-
-
-def _of_rows(run: Run, command_row: int, reference_row: int) -> Run:
-    """A run whose commands are of other rows than it says; its reference, where they are of an earlier one, moved to
-    the rows in which it acts."""
-    moved = run.reference[np.maximum(np.arange(len(run)) + reference_row, 0)]
-    return replace(with_metadata(run, command_row=command_row), reference=moved)
 
 
 def off_by(rig: Rig, run: Run) -> float:

@@ -7,7 +7,7 @@ whether the recursion runs on the limited output, whether the log was rounded.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,11 +16,36 @@ from station.errors import UsageError, WorkError
 from station.runs.run import Run
 
 SHAPED = "reference_shaped"
-LIKELY_ROWS = (0, -1, -2)
-"""``command_row`` that a log may have where it states another one."""
 OTHER_ROW = 0.1
-"""Share of what commands miss by the stated ``command_row`` below which they are another one's."""
+"""Share of what commands miss by the stated rows below which they are of others."""
 _AFTER_ACCEL_LOOP = ("gain", "zero", "pole", "rounding")
+
+
+class Rows(NamedTuple):
+    """Of which rows commands are, counted from their own."""
+
+    command_row: int
+    reference: int = 0
+    """An earlier one's where a board works out a command from what it was told a tick ago, too."""
+
+    @classmethod
+    def stated(cls, run: Run) -> Rows:
+        """As a log says."""
+        return cls(run.metadata.command_row)
+
+    def __str__(self) -> str:
+        late = -self.reference
+        return f"command_row {self.command_row}" + (
+            f", of a reference that acts {late} row{'s' * (late > 1)} after its own" if late else "")
+
+    def taken(self, run: Run) -> Run:
+        """The run with these, its reference moved to the rows in which it acts."""
+        moved = run.reference[np.maximum(np.arange(len(run)) + self.reference, 0)]
+        return replace(with_metadata(run, command_row=self.command_row), reference=moved)
+
+
+LIKELY_ROWS = (Rows(0), Rows(-1), Rows(-2), Rows(-1, -1), Rows(-2, -2))
+"""Of which the commands of a log may be that states others."""
 
 
 @dataclass(frozen=True)
@@ -122,11 +147,10 @@ def _note(run: Run, commands: np.ndarray, beyond: np.ndarray, limit: float, shap
     if run.status is not None and np.all(run.status[beyond] != run.status[0]):
         return f"the device reports another status wherever they differ, from row {first} on: late or held ticks"
     left = float(np.sum(np.abs(commands - run.command)))
-    for row in LIKELY_ROWS:
-        if row != run.metadata.command_row and run.metadata.controller.get("kind") != "open":
-            other = with_metadata(run, command_row=row)
-            if float(np.sum(np.abs(replay_commands(other, limit, shaped=shaped) - run.command))) < OTHER_ROW * left:
-                return f"they fit command_row {row}, the metadata say {run.metadata.command_row}"
+    for rows in LIKELY_ROWS if run.metadata.controller.get("kind") != "open" else ():
+        again = replay_commands(rows.taken(run), limit, shaped=shaped)
+        if float(np.sum(np.abs(again - run.command))) < OTHER_ROW * left:
+            return f"they fit {rows}, the metadata say {run.metadata.command_row}"
     if not shaped and SHAPED in run.extra:
         return f"from row {first} on; replay from {SHAPED} tells whether the accelerometer loop's digits do it"
     if not run.rounded and np.array_equal(run.command, np.floor(commands + 0.5)):
