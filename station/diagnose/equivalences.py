@@ -145,10 +145,10 @@ def delays_traded(causes: frozenset[Key], rig: Rig, allowed: Collection[Key]) ->
     found = []
     for common in (0.0, min(sums.values())):
         new = {INPUT: common, **{key: total - common for key, total in sums.items()}}
-        new = {key: {"time": time} for key, time in new.items() if time > 1e-9}
-        other = (causes - frozenset(times)) | frozenset(new)
-        if frozenset(new) <= set(allowed) and not other >= causes:
-            found.append((other, new))
+        delays: Sizes = {key: {"time": time} for key, time in new.items() if time > 1e-9}
+        other = (causes - frozenset(times)) | frozenset(delays)
+        if frozenset(delays) <= set(allowed) and not other >= causes:
+            found.append((other, delays))
     return found
 
 
