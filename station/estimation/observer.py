@@ -18,6 +18,10 @@ another law by the stiffness that comes nearest.  Or a drag that is viscous for 
 damping that it is, and a spring that is softer in the middle over a play.  What torques change with the angle is no
 matter within the quick horizon, and a pendulum's weight, which holds where it hangs and topples where it stands, has no
 one slope.
+
+A spring that comes nearest to one with a wide play is so soft that an observer about it, to forget as soon, takes what
+it missed for far more torque, and while the joint is closed its errors grow without end.  So it is about no softer a
+joint than one whose observer forgets where the joint is closed, too (``LATER``).
 """
 
 from __future__ import annotations
@@ -36,6 +40,7 @@ from station.estimation.filter import (
     Filter,
     Slopes,
     designed,
+    excess,
     fed_back,
     filter_of,
     forgets_within,
@@ -60,6 +65,9 @@ ROUNDS = 40
 """Halvings of the logarithm of the torque's size, for the nominal rig."""
 FASTEST = 20.0, 1000.0
 """Over the horizon, and rad/s: of the nominal rig the modes that decay or swing faster than both are not corrected."""
+LATER = 0.1
+"""By how much later (logarithm) a wrong angle may be forgotten where a joint is closed by an observer about a softer
+one: far more than rounding of its design (1e-5), far less than where such an observer rings or grows (1 to 6)."""
 SMALL = 1e-3
 """Of the speeds, the step by which a torque's slope is told."""
 
@@ -164,11 +172,26 @@ def _design(observer: Observer, linear: _Linear) -> tuple[Correction, tuple[floa
     if math.isinf(horizon):
         return Correction(state, 0.0, 0.0, np.zeros(0)), None
     slowest = _corrected(observer, form)
-    system, kept = filter_of(model, horizon, slowest, linear.slopes), form.columns(slowest)
+    system, kept = _filter(observer, model, slowest, linear.slopes), form.columns(slowest)
     gain, log_size, slope = designed(system, observer.variance, horizon, observer.log_size, observer.slope)
     state[kept] = gain[:-1]
     found = Correction(state, float(gain[-1]), system.decay, np.zeros(0))
     return found, (float(log_size), float(slope)) if np.isfinite(gain).all() else None
+
+
+def _filter(observer: Observer, model: Model, slowest: np.ndarray, about: Slopes) -> Filter:
+    """The filter of a rig about its motion, of no softer joints than its observer can be about."""
+    def with_share(share: float) -> Filter:
+        return filter_of(model, observer.horizon, slowest, tuple(
+            (at, change * (share if at in softer else 1.0)) for at, change in about if share or at not in softer))
+
+    def grows(share: float) -> bool:
+        found = designed(with_share(share), observer.variance, observer.horizon, observer.log_size, observer.slope)[0]
+        return not excess(closed, observer.horizon, found) < LATER
+
+    softer = {at for at, change in about if at not in ("motor", "base") and change < 0.0}
+    closed = with_share(0.0)
+    return with_share(_crossing(grows, 0.0, 1.0) if softer and grows(1.0) else 1.0)
 
 
 def noise_gain(observer: Observer, model: Model, about: Slopes = ()) -> float:
@@ -194,7 +217,7 @@ def _at_work(observer: Observer, model: Model, about: Slopes) -> tuple[Filter, n
     """An observer's filter of a rig, and its gain (s)."""
     slowest = _corrected(observer, model.form)
     found = _design(observer, _Linear(id(model.form), model, about))[0]
-    return (filter_of(model, observer.horizon, slowest, about),
+    return (_filter(observer, model, slowest, about),
             np.append(found.state[model.form.columns(slowest)], found.torque))
 
 
