@@ -67,8 +67,8 @@ FASTEST = 20.0, 1000.0
 """Over the horizon, and rad/s: of the nominal rig the modes that decay or swing faster than both are not corrected."""
 LATER = 0.1
 """By how much later (logarithm) than after the horizon a wrong angle may be forgotten where a joint is closed by an
-observer about a softer one: a sample in ten.  From there on it takes more torque to forget than the closed joint's does
-by the tenfold, and by ln 2 the widest plays were not found."""
+observer about a softer one.  Beyond, to forget as soon takes soon ten times the torque; by ln 2 the widest plays were
+not found."""
 SMALL = 1e-3
 """Of the speeds, the step by which a torque's slope is told."""
 
