@@ -207,7 +207,7 @@ def test_a_loose_joint_forgets_as_fast_in_any_unit_of_torque(left: float, gain: 
         at, kept = correction(observer, model, about), _corrected(observer, model.form)
         gains = np.array([*at.state[model.form.columns(kept)], at.torque])
         found.append([*at.state, factor * at.torque])
-        assert memory(_filter(observer, model, kept, about), gains, observer.horizon) == pytest.approx(
+        assert memory(_filter(observer, model, kept, about)[0], gains, observer.horizon) == pytest.approx(
             observer.horizon, rel=1e-6)
     np.testing.assert_allclose(found[1], found[0], rtol=1e-5, atol=1e-8 * np.abs(found[0]).max())
 
@@ -234,6 +234,9 @@ def test_an_observer_of_a_play_forgets_where_the_joint_is_closed(left: float, ke
     assert math.log(memory(closed, gains, observer.horizon) / observer.horizon) < LATER + 1e-6
     assert (math.log(memory(closed, blind, observer.horizon) / observer.horizon) < LATER) == kept
     assert np.allclose(gains, blind, rtol=1e-9) == kept
+    beside = build(LOOSE.with_constants({"drive.stiffness": 1.00001 * LOOSE.drive.stiffness}), 0.1, 1e-3)
+    anew, near = (correction(one, beside, about).state for one in (observer, observer.near(model, about)))
+    np.testing.assert_allclose(near, anew, rtol=1e-5)
 
 
 @pytest.mark.parametrize("elements", [8, 16, 13])
