@@ -68,8 +68,7 @@ FASTEST = 20.0, 1000.0
 """Over the horizon, and rad/s: of the nominal rig the modes that decay or swing faster than both are not corrected."""
 LATER = 0.1
 """By how much later (logarithm) than after the horizon a wrong angle may be forgotten where a joint is closed by an
-observer about a softer one.  Beyond, to forget as soon takes soon ten times the torque; by ln 2 the widest plays were
-not found."""
+observer about a softer one.  A little beyond, to forget as soon takes ten times the torque."""
 NEVER = 100.0
 """The same of an observer that is no number there."""
 SHARE, NEARBY = 1e-9, 1e-4
