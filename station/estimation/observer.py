@@ -200,7 +200,7 @@ def _filter(observer: Observer, model: Model, slowest: np.ndarray, about: Slopes
 
     softer = {at for at, change in about if at not in ("motor", "base") and change < 0.0}
     closed = with_share(0.0)
-    if not softer or late(1.0) <= 0.0:
+    if not softer or late(1.0) <= 0.0 or late(0.0) >= 0.0:     # or there is none where it is closed
         return with_share(1.0), 1.0
     ends = max(observer.softened - NEARBY, 0.0), min(observer.softened + NEARBY, 1.0)
     ends = ends if late(ends[0]) < 0.0 < late(ends[1]) else (0.0, 1.0)

@@ -239,6 +239,15 @@ def test_an_observer_of_a_play_forgets_where_the_joint_is_closed(left: float, ke
     np.testing.assert_allclose(near, anew, rtol=1e-4)
 
 
+def test_a_rig_without_an_observer_where_its_joint_is_closed_keeps_the_one_about_its_motion() -> None:
+    (observer, _), model = observers(LOOSE, 0.33), build(LOOSE, 0.1, 1e-3)
+    short, about = replace(observer, horizon=0.1 * LOOSE.period), (("drive", -0.7 * LOOSE.drive.stiffness),)
+    modes = _corrected(observer, model.form)
+    found, softened = _filter(short, model, modes, about)
+    assert softened == 1.0
+    np.testing.assert_array_equal(found.f, filter_of(model, short.horizon, modes, about).f)
+
+
 @pytest.mark.parametrize("elements", [8, 16, 13])
 def test_another_mesh_is_corrected_alike(elements: int) -> None:
     """What a unit error moves, seen where all meshes have nodes: motor, base and clamp's rotation."""
