@@ -123,7 +123,7 @@ def forgets_within(system: Filter, variance: float, horizon: float, log_size: fl
 
 def log_memory(system: Filter, variance: float, horizon: float, log_size: float) -> float:
     """Logarithm of the time after which a wrong angle is forgotten where the torque has that size, over the horizon."""
-    return excess(system, horizon, steady_gain(system, variance, log_size, _doublings(horizon, system.period)))
+    return _excess(system, horizon, steady_gain(system, variance, log_size, _doublings(horizon, system.period)))
 
 
 def designed(system: Filter, variance: float, horizon: float, log_size: float,
@@ -132,7 +132,7 @@ def designed(system: Filter, variance: float, horizon: float, log_size: float,
     before, doublings = log_size, _doublings(horizon, system.period)
 
     def missed_at(size: float) -> float:
-        return excess(system, horizon, steady_gain(system, variance, size, doublings))
+        return _excess(system, horizon, steady_gain(system, variance, size, doublings))
 
     missed = missed_at(before)
     for _ in range(STEPS):
@@ -140,7 +140,7 @@ def designed(system: Filter, variance: float, horizon: float, log_size: float,
         found = steady_gain(system, variance, here, doublings)
         if abs(missed) < NEAR:
             return found, here, slope
-        now = excess(system, horizon, found)
+        now = _excess(system, horizon, found)
         if here > before and now - missed > FLAT * (here - before):
             break
         slope = min((now - missed) / (here - before), FLAT)
@@ -187,7 +187,7 @@ def steady_gain(system, variance, log_size, doublings):
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
-def excess(system, horizon, gain):
+def _excess(system, horizon, gain):
     """Logarithm of the time integral of what a unit error of the angle leaves, over the horizon."""
     f, h, _, first, _, period = system
     size, total, error, moved, through = h.size, 0.0, first.copy(), np.empty(h.size), np.dot(f, gain)

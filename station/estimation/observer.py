@@ -18,10 +18,6 @@ another law by the stiffness that comes nearest.  Or a drag that is viscous for 
 damping that it is, and a spring that is softer in the middle over a play.  What torques change with the angle is no
 matter within the quick horizon, and a pendulum's weight, which holds where it hangs and topples where it stands, has no
 one slope.
-
-A spring that comes nearest to one with a wide play is so soft that an observer about it, to forget as soon, takes what
-it missed for far more torque, and while the joint is closed its errors grow without end.  So it is about no softer a
-joint than one whose observer forgets where the joint is closed, too (``LATER``).
 """
 
 from __future__ import annotations
@@ -33,7 +29,6 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
 
 from station.estimation.filter import (
     SIZES,
@@ -41,7 +36,6 @@ from station.estimation.filter import (
     Filter,
     Slopes,
     designed,
-    excess,
     fed_back,
     filter_of,
     forgets_within,
@@ -66,14 +60,6 @@ ROUNDS = 40
 """Halvings of the logarithm of the torque's size, for the nominal rig."""
 FASTEST = 20.0, 1000.0
 """Over the horizon, and rad/s: of the nominal rig the modes that decay or swing faster than both are not corrected."""
-LATER = 0.1
-"""By how much later (logarithm) than after the horizon a wrong angle may be forgotten where a joint is closed by an
-observer about a softer one.  A little beyond, to forget as soon takes ten times the torque."""
-NEVER = 100.0
-"""The same of an observer that is no number there."""
-SHARE, NEARBY = 1e-9, 1e-4
-"""To which the share of its softening is told, a ten thousandth of a derivative's step; and within which it is sought
-first beside a rig's that is near."""
 SMALL = 1e-3
 """Of the speeds, the step by which a torque's slope is told."""
 
@@ -92,13 +78,11 @@ class Observer:
     near to those to come (``near``)."""
     slope: float = SLOPE
     """Change of the memory's logarithm by that, there."""
-    softened: float = 1.0
-    """Share of its joints' softening that a rig's observer is about, there."""
 
     def near(self, model: Model, about: Slopes = ()) -> Observer:
         """The same, quicker to work out for rigs like this one."""
         found = _design(self, _Linear(id(model.form), model, about))[1]
-        return self if found is None else replace(self, log_size=found[0], slope=found[1], softened=found[2])
+        return self if found is None else replace(self, log_size=found[0], slope=found[1])
 
 
 class Correction(NamedTuple):
@@ -173,40 +157,18 @@ def correction(observer: Observer, model: Model, about: Slopes = ()) -> Correcti
 
 
 @functools.lru_cache(maxsize=128)
-def _design(observer: Observer, linear: _Linear) -> tuple[Correction, tuple[float, float, float] | None]:
-    """A rig's correction, and (log size, slope, share of its joints' softening) there, None where there is none."""
+def _design(observer: Observer, linear: _Linear) -> tuple[Correction, tuple[float, float] | None]:
+    """A rig's correction, and (log size, slope) there, None where there is none."""
     model, form, horizon = linear.model, linear.model.form, observer.horizon
     state = np.zeros(2 * form.blocks)
     if math.isinf(horizon):
         return Correction(state, 0.0, 0.0, np.zeros(0)), None
     slowest = _corrected(observer, form)
-    (system, softened), kept = _filter(observer, model, slowest, linear.slopes), form.columns(slowest)
+    system, kept = filter_of(model, horizon, slowest, linear.slopes), form.columns(slowest)
     gain, log_size, slope = designed(system, observer.variance, horizon, observer.log_size, observer.slope)
     state[kept] = gain[:-1]
     found = Correction(state, float(gain[-1]), system.decay, np.zeros(0))
-    return found, (float(log_size), float(slope), softened) if np.isfinite(gain).all() else None
-
-
-def _filter(observer: Observer, model: Model, slowest: np.ndarray, about: Slopes) -> tuple[Filter, float]:
-    """The filter of a rig about its motion, of no softer joints than its observer can be about; and the share of their
-    softening that it has."""
-    def with_share(share: float) -> Filter:
-        return filter_of(model, observer.horizon, slowest, tuple(
-            (at, change * (share if at in softer else 1.0)) for at, change in about if share or at not in softer))
-
-    def late(share: float) -> float:
-        found = designed(with_share(share), observer.variance, observer.horizon, observer.log_size, observer.slope)[0]
-        return float(np.nan_to_num(excess(closed, observer.horizon, found), nan=NEVER, posinf=NEVER)) - LATER
-
-    softer = {at for at, change in about if at not in ("motor", "base") and change < 0.0}
-    closed = with_share(0.0)
-    if not softer or late(1.0) <= 0.0 or late(0.0) >= 0.0:     # or there is none where it is closed
-        return with_share(1.0), 1.0
-    ends = max(observer.softened - NEARBY, 0.0), min(observer.softened + NEARBY, 1.0)
-    ends = ends if late(ends[0]) < 0.0 < late(ends[1]) else (0.0, 1.0)
-    share = float(brentq(late, *ends, xtol=SHARE))
-    share = share if late(share) <= 0.0 else share - 2.0 * SHARE
-    return with_share(share), share
+    return found, (float(log_size), float(slope)) if np.isfinite(gain).all() else None
 
 
 def noise_gain(observer: Observer, model: Model, about: Slopes = ()) -> float:
@@ -232,7 +194,7 @@ def _at_work(observer: Observer, model: Model, about: Slopes) -> tuple[Filter, n
     """An observer's filter of a rig, and its gain (s)."""
     slowest = _corrected(observer, model.form)
     found = _design(observer, _Linear(id(model.form), model, about))[0]
-    return (_filter(observer, model, slowest, about)[0],
+    return (filter_of(model, observer.horizon, slowest, about),
             np.append(found.state[model.form.columns(slowest)], found.torque))
 
 
