@@ -46,7 +46,7 @@ def test_what_a_cause_buys_is_read_off_the_likeliest_set_that_was_fitted_without
     """Not off what is stated: a set without one of its causes need not have been fitted, and bought nothing then."""
     whole = BEST | {INPUT}
     scores = {frozenset(): 0.0, frozenset({BIAS}): 3.0, BEST: 90.0, whole: 91.0, whole - {BIAS}: 85.0,
-              whole - {RIPPLE}: 20.0}
+              whole - {RIPPLE}: 20.0, whole | {("dead_zone", "amplifier")}: 92.0}
     search = SimpleNamespace(fits={keys: keys for keys in scores}, score=scores.__getitem__)
     assert finding.bought(search, RIPPLE) == 71.0 and finding.bought(search, BIAS) == 6.0
     assert finding.bought(search, INPUT) == 1.0 and finding.bought(search, ENCODER) == 0.0
