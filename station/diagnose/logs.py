@@ -33,12 +33,12 @@ def as_logged(rig: Rig, runs: Sequence[Run]) -> tuple[list[Run], list[str]]:
     have it, if they fit one row's and not the stated one's: closed again with another delay, it is another loop.
     """
     limit, said = rig.amplifier.limit, []
-    own = {run.name: own_rows(rig, run) for run in runs}
-    for rows in sorted({own[run.name] for run in runs if own[run.name] != Rows.stated(run)}):
-        such = {run.name: run.metadata.command_row for run in runs if own[run.name] == rows != Rows.stated(run)}
+    moved = {run.name: rows for run in runs if (rows := own_rows(rig, run)) != Rows.stated(run)}
+    for rows in sorted(set(moved.values())):
+        such = {run.name: run.metadata.command_row for run in runs if moved.get(run.name) == rows}
         said.append(f"{_most(dict.fromkeys(such, 1.0))}: commands are the controller's of {rows}, which is taken, and "
                     f"the log says {next(iter(such.values()))}")
-    runs = [run if own[run.name] == Rows.stated(run) else own[run.name].taken(run) for run in runs]
+    runs = [moved[run.name].taken(run) if run.name in moved else run for run in runs]
     beyond = {run.name: reached for run in runs
               if (reached := float(np.max(np.abs(run.command)))) > math.floor(limit + 0.5)}
     shares = [off_by(rig, run) for run in runs]
@@ -66,7 +66,7 @@ def own_rows(rig: Rig, run: Run) -> Rows:
     rows, stated = Rows.stated(run), off_by(rig, run)
     if stated * _rms(run.command) <= math.sqrt(QUANTISATION):
         return rows
-    others = {other: off_by(rig, other.taken(run)) for other in LIKELY_ROWS}
+    others = {other: off_by(rig, other.taken(run)) for other in LIKELY_ROWS if other != rows}
     best = min(others, key=others.__getitem__)
     return best if others[best] < OTHER_ROW * stated else rows
 

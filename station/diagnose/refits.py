@@ -104,8 +104,9 @@ def look_back(search: Selection, found: Fit) -> None:
         if len(causes) <= len(found.key):
             kept = reduce(Hypothesis.without, sorted(found.key - causes), hypothesis)
             traded = kept + Hypothesis(tuple((effect_class(name), place) for name, place in sorted(causes - found.key)))
-            smallest = min(sorted(delays), key=lambda key: delays[key]["time"])
-            less += [(traded, delays)] + [(traded.without(smallest), delays)] * (len(delays) > 1)
+            less.append((traded, delays))
+            if len(delays) > 1:     # one that is nearly none
+                less.append((traded.without(min(sorted(delays), key=lambda key: delays[key]["time"])), delays))
     _keep_reduced(search, found, less)
 
 

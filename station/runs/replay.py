@@ -147,10 +147,11 @@ def _note(run: Run, commands: np.ndarray, beyond: np.ndarray, limit: float, shap
     if run.status is not None and np.all(run.status[beyond] != run.status[0]):
         return f"the device reports another status wherever they differ, from row {first} on: late or held ticks"
     left = float(np.sum(np.abs(commands - run.command)))
-    for rows in LIKELY_ROWS if run.metadata.controller.get("kind") != "open" else ():
-        again = replay_commands(rows.taken(run), limit, shaped=shaped)
-        if float(np.sum(np.abs(again - run.command))) < OTHER_ROW * left:
-            return f"they fit {rows}, the metadata say {run.metadata.command_row}"
+    for rows in LIKELY_ROWS:
+        if rows != Rows.stated(run) and run.metadata.controller.get("kind") != "open":
+            again = replay_commands(rows.taken(run), limit, shaped=shaped)
+            if float(np.sum(np.abs(again - run.command))) < OTHER_ROW * left:
+                return f"they fit {rows}, the metadata say {run.metadata.command_row}"
     if not shaped and SHAPED in run.extra:
         return f"from row {first} on; replay from {SHAPED} tells whether the accelerometer loop's digits do it"
     if not run.rounded and np.array_equal(run.command, np.floor(commands + 0.5)):

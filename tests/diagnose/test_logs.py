@@ -17,6 +17,7 @@ from station.model.effects import Effect, effect_class
 from station.model.simulate import build, simulate
 from station.rig import load_rig
 from station.runs import load_run
+from station.runs.replay import compare_replay
 from station.runs.run import Run
 from tests.estimation.made import AXIS, run_of, runs_of
 from tests.measured import LOGS, SERVO_LOGS, measured_folder, measured_log
@@ -73,7 +74,9 @@ def test_the_row_whose_reference_commands_are_of_is_taken_as_they_have_it(late: 
     assert all(np.array_equal(one.reference, run.reference) for one, run in zip(found, acted, strict=True))
     assert [one.metadata for one in found] == [run.metadata for run in acted]
     rows = f"{late} row{'s' if late > 1 else ''}"
-    assert f"command_row {-late}, of a reference that acts {rows} after its own" in sentence
+    told = f"command_row {-late}, of a reference that acts {rows} after its own"
+    assert told in sentence
+    assert compare_replay(logged[0], AXIS.amplifier.limit).note == f"they fit {told}, the metadata say {-late}"
     assert as_logged(AXIS, acted) == (acted, [])
 
 
